@@ -1,0 +1,56 @@
+"""The contract between fitting and training: parameters, ranges, loading, applying.
+
+    FitResult -> Calibration -> calibrated.xml + randomization.yaml -> StandUp
+
+Imports numpy, mujoco and yaml only, so that a policy can be trained without the fitter.
+"""
+
+from frasa_sysid.calibration.apply import actuators_of, apply, delayed_sensors, dofs_of, number, read, servo_classes
+from frasa_sysid.calibration.command_line import add_json_flag, plain, run_command, say
+from frasa_sysid.calibration.errors import (
+    CalibrationError,
+    FrasaError,
+    InputError,
+    InterruptedRunError,
+    ModelError,
+    QualityError,
+    UsageError,
+)
+from frasa_sysid.calibration.files import sha256_of, sha256_of_file, write_atomic
+from frasa_sysid.calibration.load import calibration_id, load_calibration, load_model, read_calibration
+from frasa_sysid.calibration.parameters import SENSOR_FIELDS, SERVO_FIELDS, Parameter, parameter
+from frasa_sysid.calibration.ranges import Calibration, Range
+
+__all__ = [
+    "SENSOR_FIELDS",
+    "SERVO_FIELDS",
+    "Calibration",
+    "CalibrationError",
+    "FrasaError",
+    "InputError",
+    "InterruptedRunError",
+    "ModelError",
+    "Parameter",
+    "QualityError",
+    "Range",
+    "UsageError",
+    "actuators_of",
+    "add_json_flag",
+    "apply",
+    "calibration_id",
+    "delayed_sensors",
+    "dofs_of",
+    "load_calibration",
+    "load_model",
+    "number",
+    "parameter",
+    "plain",
+    "read",
+    "read_calibration",
+    "run_command",
+    "say",
+    "servo_classes",
+    "sha256_of",
+    "sha256_of_file",
+    "write_atomic",
+]

@@ -1,0 +1,73 @@
+"""How every command of frasa ends: one line for an error, one JSON object for a machine, an exit status.
+
+Both command lines use it, so that exit 0 means done, 1 failed while running, 2 usage,
+3 bad log or model, 4 a quality gate failed, 130 interrupted with the best so far saved.
+"""
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from frasa_sysid.calibration.errors import FrasaError
+
+Run = Callable[[argparse.Namespace], dict[str, Any]]
+
+
+def run_command(parser: argparse.ArgumentParser, arguments: Sequence[str] | None = None) -> int:
+    """Parse, run the chosen command, print its JSON when asked, and return the exit status.
+
+    Every subcommand sets `run` (a function of the parsed arguments that returns the
+    object for `--json`) with `set_defaults`. Text for people goes to standard error.
+
+    Args:
+        parser: the whole command line.
+        arguments: words after the program's name; by default those of this process.
+    """
+    args = parser.parse_args(arguments)
+    run: Run = args.run
+    try:
+        result = run(args)
+    except FrasaError as error:
+        say(f"{parser.prog}: {error}")
+        return error.exit_code
+    except KeyboardInterrupt:
+        say(f"{parser.prog}: interrupted")
+        return 130
+    except BrokenPipeError:
+        return 1
+    except OSError as error:
+        place = error.filename if error.filename is not None else "a file"
+        say(f"{parser.prog}: cannot use {place}: {error.strerror or error}")
+        return 1
+    if getattr(args, "json", False):
+        print(json.dumps(plain(result), indent=2, allow_nan=False))
+    return 0
+
+
+def say(text: str) -> None:
+    """Print text for people, on standard error."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def add_json_flag(parser: argparse.ArgumentParser) -> None:
+    """Give a subcommand `--json`."""
+    parser.add_argument("--json", action="store_true", help="print one JSON object on standard output")
+
+
+def plain(value: Any) -> Any:  # noqa: ANN401 - whatever a command returns
+    """Plain data for JSON: paths as text, arrays as lists, numbers that are not finite as null."""
+    if isinstance(value, dict):
+        return {str(key): plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(one) for one in value]
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

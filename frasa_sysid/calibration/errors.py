@@ -1,0 +1,44 @@
+"""The one family of errors of frasa, with the exit code each leads to.
+
+Raised at the boundary (a file, a channel, a name, a unit), with what was found,
+what was expected and what to do. Only the command lines turn them into one line
+of text and an exit status; mistakes in frasa itself keep their traceback.
+"""
+
+
+class FrasaError(Exception):
+    """Base of all errors a user can act on."""
+
+    exit_code = 1
+
+
+class UsageError(FrasaError):
+    """The command line asks for something that cannot be done."""
+
+    exit_code = 2
+
+
+class InputError(FrasaError):
+    """A log, model or calibration that was given cannot be used."""
+
+    exit_code = 3
+
+
+class ModelError(InputError):
+    """A MuJoCo model is missing, broken, or lacks an element that is needed."""
+
+
+class CalibrationError(InputError):
+    """A calibration or ranges file is broken or belongs to another model."""
+
+
+class QualityError(FrasaError):
+    """Everything ran, but a result did not pass its gate."""
+
+    exit_code = 4
+
+
+class InterruptedRunError(FrasaError):
+    """The user stopped the run; the best result so far was saved."""
+
+    exit_code = 130

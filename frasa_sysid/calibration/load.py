@@ -1,0 +1,96 @@
+"""Loading a model and the ranges that belong to it; files from strangers are not trusted."""
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import yaml
+
+from frasa_sysid.calibration.errors import CalibrationError, ModelError
+from frasa_sysid.calibration.ranges import SCHEMA, Calibration, Range
+
+RANGES_FILE = "randomization.yaml"
+
+
+def load_model(path: Path) -> mujoco.MjModel:
+    """Compile a MuJoCo XML file.
+
+    Raises:
+        ModelError: no such file, or MuJoCo cannot compile it; MuJoCo's own words are kept.
+    """
+    if not path.is_file():
+        raise ModelError(f"no model at {path}: expected a MuJoCo XML file")
+    try:
+        return mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        raise ModelError(f"{path}: MuJoCo cannot compile it: {' '.join(str(error).split())}") from error
+
+
+def calibration_id(model: mujoco.MjModel) -> str | None:
+    """The calibration id a model carries as the custom text `calibration_id`; None when nominal."""
+    try:
+        index = model.text("calibration_id").id
+    except KeyError:
+        return None
+    start = model.text_adr[index]
+    return bytes(model.text_data[start : start + model.text_size[index]]).rstrip(b"\0").decode()
+
+
+def load_calibration(model_path: Path, ranges_path: Path | None = None) -> Calibration | None:
+    """The ranges that belong to a model.
+
+    Args:
+        model_path: the model file; a nominal model has no calibration.
+        ranges_path: the ranges; by default `randomization.yaml` beside the model.
+
+    Returns:
+        The calibration, or None for a model without `calibration_id`.
+
+    Raises:
+        CalibrationError: the ranges are missing, broken, or carry another id.
+    """
+    wanted = calibration_id(load_model(model_path))
+    if wanted is None and ranges_path is None:
+        return None
+    path = ranges_path or model_path.with_name(RANGES_FILE)
+    found = read_calibration(path)
+    if found.id != wanted:
+        raise CalibrationError(
+            f"{path} carries calibration id {found.id}, {model_path} carries {wanted}; "
+            "publish both again from the same fits"
+        )
+    return found
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Read a ranges file, checked field by field.
+
+    Raises:
+        CalibrationError: missing, not YAML, another schema, or a wrong field (named).
+    """
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise CalibrationError(f"no ranges file at {path}: run frasa-sysid publish") from None
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        raise CalibrationError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
+        raise CalibrationError(f"{path}: expected schema '{SCHEMA}'")
+    try:
+        return _from_dict(data)
+    except (KeyError, TypeError, ValueError) as error:
+        raise CalibrationError(f"{path}: missing or wrong field: {error!r}") from error
+
+
+def _from_dict(data: dict[str, Any]) -> Calibration:
+    ranges = {
+        str(name): Range(
+            float(one["low"]), float(one["value"]), float(one["high"]), str(one["unit"]), str(one["origin"])
+        )
+        for name, one in data["parameters"].items()
+    }
+    together = data.get("correlation") or {"names": [], "matrix": []}
+    names = tuple(str(name) for name in together["names"])
+    matrix = np.array(together["matrix"], dtype=np.float64).reshape(len(names), len(names))
+    return Calibration(str(data["calibration_id"]), ranges, names, matrix)

@@ -1,0 +1,199 @@
+"""What a log becomes once read: signals on their own clocks, and the facts of the rig.
+
+A `Recording` is one uninterrupted run. A file may hold many (a bench session with
+several loads and gains), so every reader returns a list of them.
+
+Names and units of the signals that frasa knows (others may be present and are kept):
+
+======================  ========  =====================================================
+`position`              rad       measured joint position
+`velocity`              rad/s     measured joint velocity, as the servo reports it
+`goal`                  rad       commanded joint position
+`voltage_command`       V         commanded motor voltage (open-loop benches)
+`torque_enable`         1         1 while the motor is powered, 0 while it is off
+`supply_voltage`        V         supply voltage measured at the servo
+`current`, `load`, ...  as given  kept, never taken for torque without a declared unit
+======================  ========  =====================================================
+
+The zero of a bench position is the arm hanging straight down; gravity is
+-`gravity_torque` * sin(position).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from frasa_sysid.errors import LogError
+
+FloatArray = npt.NDArray[np.float64]
+Clock = Literal["header", "publish", "log", "file"]
+
+UNITS: Mapping[str, str] = MappingProxyType(
+    {
+        "position": "rad",
+        "velocity": "rad/s",
+        "goal": "rad",
+        "voltage_command": "V",
+        "torque_enable": "1",
+        "supply_voltage": "V",
+    }
+)
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One measured or commanded quantity on its own clock.
+
+    Attributes:
+        name: see the table of this module.
+        unit: SI unit as text; `raw` where the log does not say.
+        t: sample times [s], strictly increasing, shape (T,); zero is the recording's start.
+        y: values, shape (T,) for one channel or (T, k) for k joints.
+        columns: names of the k channels (joints); empty for shape (T,).
+
+    Raises:
+        LogError: no sample, shapes that disagree, time that does not increase, or NaN.
+    """
+
+    name: str
+    unit: str
+    t: FloatArray
+    y: FloatArray
+    columns: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        t = np.array(self.t, dtype=np.float64)
+        y = np.array(self.y, dtype=np.float64)
+        if t.ndim != 1 or t.size == 0:
+            raise LogError(f"signal '{self.name}' has no samples")
+        if y.shape[:1] != t.shape or y.ndim > 2:
+            raise LogError(f"signal '{self.name}': {t.size} times but values of shape {y.shape}")
+        if (y.shape[1:] or (0,))[0] != len(self.columns):
+            raise LogError(f"signal '{self.name}': values {y.shape} do not fit columns {self.columns}")
+        if not (np.isfinite(t).all() and np.isfinite(y).all()):
+            bad = int((~np.isfinite(t)).sum() + (~np.isfinite(y)).sum())
+            raise LogError(f"signal '{self.name}' holds {bad} values that are not finite (NaN or infinity)")
+        if (np.diff(t) <= 0).any():
+            raise LogError(f"signal '{self.name}': time stands still or runs backwards")
+        t.setflags(write=False)
+        y.setflags(write=False)
+        object.__setattr__(self, "t", t)
+        object.__setattr__(self, "y", y)
+
+    def __repr__(self) -> str:
+        return f"Signal({self.name} [{self.unit}], {self.y.shape}, {self.t[0]:.3f}..{self.t[-1]:.3f} s)"
+
+
+@dataclass(frozen=True)
+class RigFacts:
+    """What is known about the rig of one recording; None where nobody said.
+
+    Attributes:
+        servo: servo type in lower case, such as `mx106`.
+        mass: load at the end of the arm [kg].
+        length: axis to load [m].
+        arm_mass: mass of the arm, taken as a uniform rod of `length` [kg].
+        inertia: whole pendulum about the axis [kg m^2]; replaces what mass and length give.
+        gravity_torque: torque that holds the arm horizontal [N m]; replaces likewise.
+        firmware_gain: P gain of the servo's position loop, in the firmware's own unit.
+        supply_voltage: declared supply [V]; the measured signal has precedence.
+        control: `position` (goal angles) or `voltage` (open loop).
+        trajectory: name of the excitation.
+    """
+
+    servo: str | None = None
+    mass: float | None = None
+    length: float | None = None
+    arm_mass: float | None = None
+    inertia: float | None = None
+    gravity_torque: float | None = None
+    firmware_gain: float | None = None
+    supply_voltage: float | None = None
+    control: Literal["position", "voltage"] = "position"
+    trajectory: str | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "length", "arm_mass", "inertia", "gravity_torque", "firmware_gain", "supply_voltage"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value >= 0):
+                raise LogError(f"rig fact {name} = {value}: expected a finite number, zero or more")
+        if self.control not in ("position", "voltage"):
+            raise LogError(f"rig fact control = '{self.control}': expected 'position' or 'voltage'")
+
+    def known(self) -> dict[str, Any]:
+        """The facts that are known, by name."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something wrong with a log that was found and handled.
+
+    Attributes:
+        code: stable short name, such as `failed_read` or `truncated`.
+        count: how many samples, messages or bytes it concerns.
+        message: one sentence for people: what was found and what was done.
+    """
+
+    code: str
+    count: int
+    message: str
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One run of a bench or a robot.
+
+    Attributes:
+        name: unique within its file, such as `mx106.mcap#03`.
+        signals: by name.
+        rig: facts of the rig.
+        origin: `real`, or `simulated` with the truth in `truth`.
+        source: the file it came from.
+        sha256: of that file.
+        clock: which stamps the times are (design law 8).
+        faults: what was found wrong, and what was done about it.
+        truth: parameters of a simulated recording, by name.
+    """
+
+    name: str
+    signals: Mapping[str, Signal]
+    rig: RigFacts
+    origin: Literal["real", "simulated"]
+    source: str
+    sha256: str
+    clock: Clock
+    faults: tuple[Fault, ...] = ()
+    truth: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, signal in self.signals.items():
+            if signal.name != name:
+                raise LogError(f"recording '{self.name}': signal '{signal.name}' filed under '{name}'")
+            expected = UNITS.get(name)
+            if expected is not None and signal.unit != expected:
+                raise LogError(f"recording '{self.name}': '{name}' is in [{signal.unit}], expected [{expected}]")
+        object.__setattr__(self, "signals", MappingProxyType(dict(self.signals)))
+        object.__setattr__(self, "truth", MappingProxyType(dict(self.truth)))
+
+    def signal(self, name: str) -> Signal:
+        """The signal of that name.
+
+        Raises:
+            LogError: there is none; the message lists what there is.
+        """
+        if name not in self.signals:
+            raise LogError(
+                f"{self.name} has no '{name}' signal; it has {', '.join(sorted(self.signals)) or 'none at all'}"
+            )
+        return self.signals[name]
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample of any signal [s]."""
+        ends = [(signal.t[0], signal.t[-1]) for signal in self.signals.values()]
+        return float(max(end for _, end in ends) - min(start for start, _ in ends))
