@@ -29,9 +29,9 @@ def load_model(path: Path) -> mujoco.MjModel:
 
 def calibration_id(model: mujoco.MjModel) -> str | None:
     """The calibration id a model carries as the custom text `calibration_id`; None when nominal."""
-    try:
-        index = model.text("calibration_id").id
-    except KeyError:
+    # MjModel has no accessor for custom texts as it has for custom numbers and tuples.
+    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, "calibration_id")
+    if index < 0:
         return None
     start = model.text_adr[index]
     return bytes(model.text_data[start : start + model.text_size[index]]).rstrip(b"\0").decode()
