@@ -1,6 +1,39 @@
 """From a calibrated MuJoCo model to a stand-up policy.
 
 calibrated.xml + randomization.yaml -> StandUp -> Policy
+
+`frasa_rl.StandUp` is also registered with gymnasium as `frasa/StandUp-v0`. Importing this
+package imports neither torch nor MuJoCo.
 """
 
+import os
+import sys
+from importlib import import_module
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from frasa_rl.config import Task
+    from frasa_rl.policy import Policy
+    from frasa_rl.standup_env import StandUp
+
 __version__ = "0.1.0"
+__all__ = ["Policy", "StandUp", "Task", "__version__"]
+
+_HOMES = {"StandUp": "frasa_rl.standup_env", "Policy": "frasa_rl.policy", "Task": "frasa_rl.config"}
+
+# MuJoCo chooses its OpenGL when it is imported; without a display only EGL draws.
+if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+    os.environ.setdefault("MUJOCO_GL", "egl")
+
+if find_spec("gymnasium"):
+    from gymnasium import register
+
+    register("frasa/StandUp-v0", entry_point="frasa_rl.standup_env:StandUp")
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - what a module exports
+    """Import what this package exports on first use."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'frasa_rl' has no attribute '{name}'")
+    return getattr(import_module(_HOMES[name]), name)
