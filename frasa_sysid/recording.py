@@ -158,6 +158,7 @@ class Recording:
         clock: which stamps the times are (design law 8).
         faults: what was found wrong, and what was done about it.
         truth: parameters of a simulated recording, by name.
+        extra: what the source said and no other field holds, as plain JSON values.
     """
 
     name: str
@@ -169,6 +170,7 @@ class Recording:
     clock: Clock
     faults: tuple[Fault, ...] = ()
     truth: Mapping[str, float] = field(default_factory=dict)
+    extra: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, signal in self.signals.items():
@@ -179,6 +181,7 @@ class Recording:
                 raise LogError(f"recording '{self.name}': '{name}' is in [{signal.unit}], expected [{expected}]")
         object.__setattr__(self, "signals", MappingProxyType(dict(self.signals)))
         object.__setattr__(self, "truth", MappingProxyType(dict(self.truth)))
+        object.__setattr__(self, "extra", MappingProxyType(dict(self.extra)))
 
     def signal(self, name: str) -> Signal:
         """The signal of that name.

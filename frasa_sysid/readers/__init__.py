@@ -1,0 +1,48 @@
+"""One file a format: log -> list of `Recording`.
+
+`read_log` reads MCAP, the one format that frasa works with; all others are brought
+in once, with `frasa-sysid import`, so that nothing has to be guessed twice.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from frasa_sysid.errors import LogError
+from frasa_sysid.readers.mcap import read_mcap
+from frasa_sysid.readers.mcap_stream import MAGIC
+from frasa_sysid.readers.sources import GZIP_MAGIC, check_source
+from frasa_sysid.recording import Recording
+
+__all__ = ["read_log", "read_logs", "read_mcap"]
+
+
+def read_log(path: Path) -> list[Recording]:
+    """The recordings of a log.
+
+    Raises:
+        LogError: no MCAP file (the message says how to make it one), or see `read_mcap`.
+    """
+    check_source(path)
+    with path.open("rb") as file:
+        head = file.read(64)
+    if head.startswith(MAGIC):
+        return read_mcap(path)
+    raise LogError(f"{path} is not an MCAP file{_advice(path, head)}")
+
+
+def read_logs(paths: Sequence[Path]) -> list[Recording]:
+    """The recordings of several logs, in the order given."""
+    return [recording for path in paths for recording in read_log(Path(path))]
+
+
+def _advice(path: Path, head: bytes) -> str:
+    name = path.name.lower()
+    if head.startswith(b"StartOfNewTest"):
+        return f"; it looks like Dynaban: 'frasa-sysid import {path} --format dynaban --out DIR'"
+    if head.lstrip().startswith((b"{", b"[")) or name.endswith((".json", ".json.gz")):
+        return f"; it looks like JSON: 'frasa-sysid import {path} --format bam --out DIR'"
+    if head.startswith((b"#ROSBAG", b"SQLite format 3")):
+        return "; it is a ROS bag: convert it with 'ros2 bag convert' or 'mcap convert' first"
+    if head.startswith(GZIP_MAGIC):
+        return "; it is gzipped: 'frasa-sysid import' reads bam and dynaban logs packed, MCAP must be unpacked"
+    return " (unknown format); 'frasa-sysid import' reads bam and dynaban"

@@ -1,0 +1,274 @@
+"""The known faults of servo logs: found, handled and reported, the same way for every format.
+
+Each function takes plain arrays or signals and returns what is left of them together
+with a `Fault` that says what was found and what was done; nothing is mended silently.
+`make_signal` does what concerns one signal's stamps and numbers, `clean` what needs
+to know the quantity.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from frasa_sysid.errors import LogError
+from frasa_sysid.recording import Fault, FloatArray, RigFacts, Signal
+
+TURN = 2 * np.pi
+# A failed read of a Feetech servo is -2047 counts of 4096; others report -pi itself.
+FAILED_READS = (-2047 * TURN / 4096, -np.pi)
+FAILED_READ_TOLERANCE = 5e-4  # rad, a third of one count
+FAILED_READ_JUMP = 0.5  # rad in one sample; no arm moves that far
+LONGEST_FAILURE = 3  # samples in a row
+WRAP_SLACK = 1.0  # rad of true motion within one sample of a wrap
+GAP = 3.0  # times the median period
+RATE_WINDOW = 50  # samples over which a rate is judged
+RATE_RATIO = 1.25
+VOLTAGE_TOLERANCE = 0.1
+DEGREES_FROM = 4 * np.pi  # rad; two turns, more than an arm on a bench is ever told to go
+SIXTEEN_BIT = ("load", "current", "present_load", "present_current", "present_pwm", "pwm", "effort")
+
+
+def make_signal(
+    name: str, unit: str, t: FloatArray, y: FloatArray, columns: tuple[str, ...] = ()
+) -> tuple[Signal | None, list[Fault]]:
+    """A signal from raw samples, in order of time and without NaN.
+
+    Args:
+        name: of the signal.
+        unit: its unit.
+        t: sample times [s], shape (T,), in any order.
+        y: values, shape (T,) or (T, k).
+        columns: names of the k columns.
+
+    Returns:
+        The signal, or None when no sample is left, and what was wrong.
+    """
+    faults: list[Fault] = []
+    y, columns = _without_dead_columns(name, y, columns, faults)
+    bad = ~np.isfinite(t) | ~np.isfinite(y.reshape(t.size, -1)).all(axis=1)
+    if bad.any():
+        faults.append(_not_finite(name, int(bad.sum()), bool(bad.all())))
+        t, y = t[~bad], y[~bad]
+    backwards = int((np.diff(t) < 0).sum())
+    if backwards:
+        order = np.argsort(t, kind="stable")
+        t, y = t[order], y[order]
+        faults.append(Fault("time_order", backwards, f"{name}: time ran backwards {backwards} times; sorted by stamp"))
+    repeated = np.concatenate([[False], np.diff(t) == 0]) if t.size else np.zeros(0, dtype=bool)
+    if repeated.any():
+        count = int(repeated.sum())
+        t, y = t[~repeated], y[~repeated]
+        faults.append(Fault("repeated_time", count, f"{name}: {count} samples repeat a time stamp; the first is kept"))
+    return (Signal(name, unit, t, y, columns) if t.size else None), faults
+
+
+def _not_finite(name: str, count: int, everything: bool) -> Fault:
+    what = "no sample is left" if everything else "they were dropped"
+    return Fault("not_finite", count, f"{name}: {count} samples are not finite (NaN or infinity); {what}")
+
+
+def _without_dead_columns(
+    name: str, y: FloatArray, columns: tuple[str, ...], faults: list[Fault]
+) -> tuple[FloatArray, tuple[str, ...]]:
+    # One joint that never reports must not cost the samples of all the others.
+    if y.ndim != 2:
+        return y, columns
+    alive = np.atleast_1d(np.isfinite(y).any(axis=0))
+    if alive.all() or not alive.any():
+        return y, columns
+    dead = [column for column, lives in zip(columns, alive, strict=True) if not lives]
+    faults.append(Fault("dead_joint", len(dead), f"{name}: {', '.join(dead)} never hold a finite value; left out"))
+    return y[:, alive], tuple(column for column, lives in zip(columns, alive, strict=True) if lives)
+
+
+def clean(signals: Mapping[str, Signal], rig: RigFacts) -> tuple[dict[str, Signal], tuple[Fault, ...]]:
+    """Handle and report the known faults of one recording's signals.
+
+    Args:
+        signals: by name, as the format gave them.
+        rig: the declared facts, to be held against what was measured.
+
+    Returns:
+        The signals to use, and the faults found in them.
+    """
+    result = dict(signals)
+    faults = [
+        *_drop_failed_reads(result),
+        *_unwrap_position(result),
+        *_make_signed(result),
+        *_voltage_fault(result, rig),
+        *_timing_faults(result),
+    ]
+    return result, tuple(faults)
+
+
+def failed_reads(position: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Which samples are the value a servo gives when a read fails, and no place the arm was.
+
+    Args:
+        position: measured position [rad], shape (T,).
+
+    Returns:
+        Mask of shape (T,): short runs of exactly that value, far from both neighbours.
+    """
+    suspect = np.zeros(position.size, dtype=bool)
+    for value in FAILED_READS:
+        suspect |= np.abs(position - value) < FAILED_READ_TOLERANCE
+    edges = np.diff(np.concatenate([[False], suspect, [False]]).astype(np.int8))
+    for start, stop in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+        neighbours = [position[i] for i in (start - 1, stop) if 0 <= i < position.size]
+        far = bool(neighbours) and all(abs(one - position[start]) > FAILED_READ_JUMP for one in neighbours)
+        wrapped = far and all(_is_wrap(one - position[start]) for one in neighbours)
+        suspect[start:stop] = far and not wrapped and stop - start <= LONGEST_FAILURE
+    return suspect
+
+
+def _is_wrap(jump: float) -> bool:
+    return abs(abs(jump) - TURN) < WRAP_SLACK
+
+
+def _drop_failed_reads(signals: dict[str, Signal]) -> list[Fault]:
+    position = signals.get("position")
+    if position is None:
+        return []
+    columns = position.y.reshape(position.t.size, -1)
+    failed = np.zeros(position.t.size, dtype=bool)
+    for column in columns.T:
+        failed |= failed_reads(column)
+    if not failed.any() or failed.all():
+        return []
+    times = position.t[failed]
+    # The velocity of a failed read comes from the same broken packet.
+    for name in ("position", "velocity"):
+        if name in signals:
+            keep = ~np.isin(signals[name].t, times)
+            if keep.any():
+                signals[name] = replace(signals[name], t=signals[name].t[keep], y=signals[name].y[keep])
+    count = int(failed.sum())
+    return [Fault("failed_read", count, f"position: {count} failed reads (a lone -3.14 rad); dropped, with velocity")]
+
+
+def unwrap(y: FloatArray, period: float = TURN) -> tuple[FloatArray, int]:
+    """Undo the jumps of an encoder that starts again after one turn.
+
+    Args:
+        y: readings, shape (T,).
+        period: one turn, in the unit of `y`.
+
+    Returns:
+        Readings without jumps, and how many there were.
+    """
+    slack = WRAP_SLACK * period / TURN
+    step = np.diff(y)
+    turns = np.where(np.abs(np.abs(step) - period) < slack, -np.sign(step), 0.0)
+    return y + period * np.concatenate([[0.0], np.cumsum(turns)]), int(np.count_nonzero(turns))
+
+
+def _unwrap_position(signals: dict[str, Signal]) -> list[Fault]:
+    position = signals.get("position")
+    if position is None:
+        return []
+    columns = position.y.reshape(position.t.size, -1)
+    unwrapped = [unwrap(column) for column in columns.T]
+    count = sum(wraps for _, wraps in unwrapped)
+    if count == 0:
+        return []
+    y = np.stack([column for column, _ in unwrapped], axis=1).reshape(position.y.shape)
+    signals["position"] = replace(position, y=y)
+    return [Fault("encoder_wrap", count, f"position: the encoder wrapped {count} times; unwrapped")]
+
+
+def _make_signed(signals: dict[str, Signal]) -> list[Fault]:
+    faults = []
+    for name in SIXTEEN_BIT:
+        signal = signals.get(name)
+        if signal is None or not _is_unsigned_word(signal.y):
+            continue
+        wrapped = signal.y >= 2**15
+        signals[name] = replace(signal, y=np.where(wrapped, signal.y - 2**16, signal.y))
+        count = int(wrapped.sum())
+        text = f"{name}: {count} negative values were stored as unsigned 16 bit (65535 for -1); made signed"
+        faults.append(Fault("unsigned_load", count, text))
+    return faults
+
+
+def _is_unsigned_word(y: FloatArray) -> bool:
+    whole = bool((y == np.round(y)).all())
+    return whole and bool((y >= 0).all()) and bool((y < 2**16).all()) and bool((y >= 2**15).any())
+
+
+def _voltage_fault(signals: Mapping[str, Signal], rig: RigFacts) -> list[Fault]:
+    measured = signals.get("supply_voltage")
+    if measured is None or not rig.supply_voltage:
+        return []
+    median = float(np.median(measured.y))
+    if abs(rig.supply_voltage - median) <= VOLTAGE_TOLERANCE * abs(median):
+        return []
+    text = f"declared supply {rig.supply_voltage:g} V, measured {median:.4g} V (median); the measured signal counts"
+    return [Fault("voltage_contradicted", measured.t.size, text)]
+
+
+def _timing_faults(signals: Mapping[str, Signal]) -> list[Fault]:
+    faults = []
+    periods: list[float] = []
+    # Signals read together share a rate: the position stands for all of them.
+    for name in sorted(signals, key=lambda one: (one != "position", one)):
+        t = signals[name].t
+        if t.size < 3:
+            continue
+        period = float(np.median(np.diff(t)))
+        if all(abs(period / known - 1) > 0.1 for known in periods):
+            periods.append(period)
+            faults += [*_gap_fault(name, t), *_rate_fault(name, t)]
+    return faults
+
+
+def _gap_fault(name: str, t: FloatArray) -> list[Fault]:
+    dt = np.diff(t)
+    median = float(np.median(dt))
+    gaps = dt[dt > GAP * median]
+    if gaps.size == 0:
+        return []
+    text = f"{name}: {gaps.size} gaps, the longest {gaps.max():.4g} s where {median:.4g} s is usual"
+    return [Fault("gap", int(gaps.size), text)]
+
+
+def _rate_fault(name: str, t: FloatArray) -> list[Fault]:
+    dt = np.diff(t)
+    windows = dt[: dt.size // RATE_WINDOW * RATE_WINDOW].reshape(-1, RATE_WINDOW)
+    if len(windows) < 2:
+        return []
+    medians = np.median(windows, axis=1)
+    if medians.max() / medians.min() <= RATE_RATIO:
+        return []
+    slow = medians > np.sqrt(medians.max() * medians.min())
+    text = (
+        f"{name}: sampled at two rates, every {1e3 * np.median(medians[slow]):.2f} ms "
+        f"and every {1e3 * np.median(medians[~slow]):.2f} ms; times are kept as they are"
+    )
+    return [Fault("mixed_rates", int(t.size), text)]
+
+
+def check_radians(signals: Mapping[str, Signal], rig: RigFacts, source: str) -> None:
+    """Refuse a bench log whose goals can only be degrees.
+
+    Only goals are judged, and the position that follows them: a wheel turns
+    many times, but nobody commands an arm by a goal two turns away.
+
+    Raises:
+        LogError: goals beyond two turns.
+    """
+    goal = signals.get("goal")
+    if goal is None or rig.control != "position":
+        return
+    for name in ("goal", "position"):
+        signal = signals.get(name)
+        if signal is None or signal.columns:
+            continue
+        largest = float(np.abs(signal.y).max())
+        if largest > DEGREES_FROM:
+            raise LogError(
+                f"{source}: {name} looks like degrees: it reaches {largest:.4g}, expected radians; "
+                "bring it in with 'frasa-sysid import --unit deg' (or --unit rad if it is right)"
+            )

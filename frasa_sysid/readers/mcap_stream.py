@@ -1,0 +1,278 @@
+"""The messages of an MCAP file, read front to back and checked.
+
+The official reader goes by the index at the end of the file: a file that was cut off
+gives it nothing, a flipped byte goes unseen unless asked for, and not even then when
+there is no chunk index. Here every record is framed against the bytes that are really
+there, every checksum that the file holds is compared, and a file that ends early gives
+what it has. Records and chunks are parsed by the `mcap` library.
+"""
+
+import io
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO
+
+import lz4.frame  # type: ignore[import-untyped]
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, Message, Metadata, Schema, Statistics
+
+from frasa_sysid.errors import LogError
+
+MAGIC = b"\x89MCAP0\r\n"
+HEAD = struct.Struct("<BQ")
+MESSAGE_HEAD = struct.Struct("<HIQQ")
+COMPRESSIONS = ("", "lz4", "zstd")
+RECORD_LIMIT = 2**30  # bytes; a bench log's largest record is a few MB
+CHUNK_LIMIT = 2**28  # bytes after decompression; recorders write chunks of 1 to 16 MB
+PARSE_ERRORS = (McapError, struct.error, ValueError, zstandard.ZstdError, RuntimeError, EOFError)
+
+
+@dataclass
+class StreamReport:
+    """What was met besides the messages; filled while the stream is read.
+
+    Attributes:
+        metadata: metadata records in file order.
+        attachments: attached files by name, kept only when asked for.
+        messages: messages handed out.
+        declared: number of messages according to the file's statistics.
+        cut_at: byte at which the file ends too early, or None.
+        strays: messages of channels that the file does not describe.
+        summary_damaged: the index at the end does not match its checksum.
+    """
+
+    metadata: list[Metadata] = field(default_factory=list)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    messages: int = 0
+    declared: int | None = None
+    cut_at: int | None = None
+    strays: int = 0
+    summary_damaged: bool = False
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One record as it stands in the file; `whole` is False when the file ends inside it."""
+
+    offset: int
+    opcode: int
+    body: bytes
+    whole: bool = True
+
+
+def read_messages(
+    path: Path, report: StreamReport, keep_attachments: bool = False
+) -> Iterator[tuple[Channel, Schema | None, Message]]:
+    """The messages of a file in the order they were written.
+
+    Args:
+        path: the file.
+        report: filled on the way; complete when the iteration is.
+        keep_attachments: keep attached files in the report.
+
+    Yields:
+        Channel, its schema (None when it has none) and the message.
+
+    Raises:
+        LogError: no MCAP file, damaged, or a compression that is not known.
+    """
+    with path.open("rb") as file:
+        size = path.stat().st_size
+        if file.read(len(MAGIC)) != MAGIC:
+            raise LogError(f"{path} is not an MCAP file: it does not begin with the MCAP magic bytes")
+        schemas: dict[int, Schema] = {}
+        channels: dict[int, Channel] = {}
+        for record in _records(path, file, size, report, keep_attachments):
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel):
+                channels[record.id] = record
+            elif record.channel_id not in channels:
+                report.strays += 1
+            else:
+                report.messages += 1
+                channel = channels[record.channel_id]
+                yield channel, schemas.get(channel.schema_id), record
+
+
+def _records(
+    path: Path, file: BinaryIO, size: int, report: StreamReport, keep_attachments: bool
+) -> Iterator[Schema | Channel | Message]:
+    crc = zlib.crc32(MAGIC)
+    for frame in _frames(path, file, size, report):
+        try:
+            if frame.opcode == Opcode.CHUNK:
+                yield from _chunk_records(path, frame)
+            elif not frame.whole:
+                return
+            elif frame.opcode == Opcode.DATA_END:
+                _check_data(path, frame, crc)
+                _read_summary(path, file, size, report)
+                return
+            elif frame.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+                yield _parse(frame)
+            elif frame.opcode == Opcode.METADATA:
+                report.metadata.append(Metadata.read(_stream(frame.body)))
+            elif frame.opcode == Opcode.ATTACHMENT:
+                _take_attachment(path, frame, report if keep_attachments else None)
+        except PARSE_ERRORS as error:
+            raise LogError(
+                f"{path} is damaged in the record at byte {frame.offset}: {error or 'it is cut short'}"
+            ) from error
+        crc = zlib.crc32(frame.body, zlib.crc32(HEAD.pack(frame.opcode, len(frame.body)), crc))
+
+
+def _frames(path: Path, file: BinaryIO, size: int, report: StreamReport) -> Iterator[Frame]:
+    # A recorder that crashed leaves no magic bytes at the end; if they are there and
+    # the records still do not fit, then a length was damaged.
+    closed = _ends_with_magic(file, size)
+    offset = len(MAGIC)
+    while True:
+        head = file.read(HEAD.size)
+        opcode, length = HEAD.unpack(head) if len(head) == HEAD.size else (0, size)
+        left = size - offset - HEAD.size
+        if opcode == 0 and len(head) == HEAD.size:
+            raise LogError(f"{path} is damaged at byte {offset}: a record of no kind")
+        if length > left:
+            if closed:
+                raise LogError(f"{path} is damaged at byte {offset}: a record of {length} bytes where {left} are left")
+            report.cut_at = offset
+            body = file.read(min(max(left, 0), RECORD_LIMIT))
+            if opcode:
+                yield Frame(offset, opcode, body, whole=False)
+            return
+        if length > RECORD_LIMIT:
+            raise LogError(f"{path}: a record of {length} bytes at byte {offset}, the limit is {RECORD_LIMIT}")
+        yield Frame(offset, opcode, file.read(length))
+        offset += HEAD.size + length
+
+
+def _ends_with_magic(file: BinaryIO, size: int) -> bool:
+    here = file.tell()
+    file.seek(max(size - len(MAGIC), here))
+    end = file.read()
+    file.seek(here)
+    return end == MAGIC
+
+
+def _stream(body: bytes) -> ReadDataStream:
+    return ReadDataStream(io.BytesIO(body))
+
+
+def _parse(frame: Frame) -> Schema | Channel | Message:
+    record: Schema | Channel | Message
+    if frame.opcode == Opcode.SCHEMA:
+        record = Schema.read(_stream(frame.body))
+    elif frame.opcode == Opcode.CHANNEL:
+        record = Channel.read(_stream(frame.body))
+    else:
+        channel, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(frame.body)
+        record = Message(channel, log_time, frame.body[MESSAGE_HEAD.size :], publish_time, sequence)
+    return record
+
+
+def _chunk_records(path: Path, frame: Frame) -> Iterator[Schema | Channel | Message]:
+    if not frame.whole and len(frame.body) < 40:
+        return
+    chunk = Chunk.read(_stream(frame.body))
+    if chunk.compression not in COMPRESSIONS:
+        known = ", ".join(repr(one) for one in COMPRESSIONS)
+        raise LogError(
+            f"{path}: the chunk at byte {frame.offset} is compressed with '{chunk.compression}', known are {known}"
+        )
+    if chunk.uncompressed_size > CHUNK_LIMIT:
+        raise LogError(
+            f"{path}: the chunk at byte {frame.offset} claims {chunk.uncompressed_size} bytes, "
+            f"the limit is {CHUNK_LIMIT}"
+        )
+    data = _unpack(chunk) if frame.whole else _unpack_start(chunk)
+    if frame.whole and chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+        raise ValueError("the chunk does not match its checksum (CRC)")
+    yield from _inner_records(data, frame.whole)
+
+
+def _inner_records(data: bytes, whole: bool) -> Iterator[Schema | Channel | Message]:
+    offset = 0
+    while offset < len(data):
+        end_of_head = offset + HEAD.size
+        if end_of_head <= len(data):
+            opcode, length = HEAD.unpack_from(data, offset)
+        if end_of_head > len(data) or length > len(data) - end_of_head:
+            if whole:
+                raise ValueError("a record inside the chunk is longer than the chunk")
+            return
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+            yield _parse(Frame(offset, opcode, data[end_of_head : end_of_head + length]))
+        offset = end_of_head + length
+
+
+def _unpack(chunk: Chunk) -> bytes:
+    if chunk.compression == "":
+        return chunk.data
+    if chunk.compression == "lz4":
+        data: bytes = lz4.frame.decompress(chunk.data)
+    else:
+        # The frame's own claim decides how much memory is taken: look at it first.
+        if zstandard.frame_content_size(chunk.data) > CHUNK_LIMIT:
+            raise ValueError("the compressed frame claims an absurd size")
+        data = zstandard.decompress(chunk.data, max_output_size=chunk.uncompressed_size)
+    if len(data) != chunk.uncompressed_size:
+        raise ValueError(f"the chunk unpacks to {len(data)} bytes, it claims {chunk.uncompressed_size}")
+    return data
+
+
+def _unpack_start(chunk: Chunk) -> bytes:
+    """What the first bytes of a cut-off chunk unpack to; its checksum cannot be compared."""
+    if chunk.compression == "":
+        return chunk.data
+    try:
+        if chunk.compression == "lz4":
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=CHUNK_LIMIT))
+        if len(chunk.data) < 18 or zstandard.frame_content_size(chunk.data) > CHUNK_LIMIT:
+            return b""
+        return zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data)
+    except PARSE_ERRORS:
+        return b""
+
+
+def _check_data(path: Path, frame: Frame, crc: int) -> None:
+    expected = DataEnd.read(_stream(frame.body)).data_section_crc
+    if expected not in (0, crc):
+        raise LogError(f"{path} is damaged: its data do not match their checksum (CRC)")
+
+
+def _take_attachment(path: Path, frame: Frame, report: StreamReport | None) -> None:
+    expected = struct.unpack("<I", frame.body[-4:])[0]
+    if expected not in (0, zlib.crc32(frame.body[:-4])):
+        raise LogError(f"{path} is damaged: the attachment at byte {frame.offset} does not match its checksum (CRC)")
+    if report is not None:
+        attachment = Attachment.read(_stream(frame.body))
+        report.attachments[attachment.name] = attachment.data
+
+
+def _read_summary(path: Path, file: BinaryIO, size: int, report: StreamReport) -> None:
+    """The statistics at the end; the data are whole without them, so damage here is only reported."""
+    summary = file.read(min(size, RECORD_LIMIT))
+    try:
+        offset = 0
+        while offset + HEAD.size <= len(summary) - len(MAGIC):
+            opcode, length = HEAD.unpack_from(summary, offset)
+            body = summary[offset + HEAD.size : offset + HEAD.size + length]
+            if opcode == Opcode.STATISTICS:
+                report.declared = Statistics.read(_stream(body)).message_count
+            if opcode == Opcode.FOOTER:
+                footer = Footer.read(_stream(body))
+                crc = zlib.crc32(summary[: offset + HEAD.size + 16])
+                report.summary_damaged = footer.summary_crc not in (0, crc)
+                return
+            offset += HEAD.size + length
+        report.cut_at = size if not summary.endswith(MAGIC) else None
+        report.summary_damaged = report.cut_at is None
+    except PARSE_ERRORS:
+        report.summary_damaged = True

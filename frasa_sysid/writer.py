@@ -1,0 +1,172 @@
+"""Recordings -> one MCAP file that PlotJuggler, Foxglove and frasa open alike.
+
+ROS 2 profile, CDR with its definitions, compressed chunks, index and statistics. Runs
+follow one another on the time line, one second apart, each described by a `frasa.bench`
+record at the head of the file, so that a file cut short still knows its rig. The same
+recordings give the same bytes.
+"""
+
+import io
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap_ros2.writer import Writer
+
+from frasa_sysid import bench_record
+from frasa_sysid.calibration.files import write_atomic
+from frasa_sysid.errors import LogError
+from frasa_sysid.message_definitions import DEFINITIONS
+from frasa_sysid.recording import FloatArray, Recording, Signal
+
+EPOCH = 1_577_836_800 * 10**9  # ns; 2020-01-01T00:00:00Z, so that the bytes depend on the data alone
+SECOND = 10**9
+CHUNK_SIZE = 2**17  # bytes; small, so that a file cut short loses little
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+DYNAMIC_JOINT_STATE = "control_msgs/msg/DynamicJointState"
+IMU = "sensor_msgs/msg/Imu"
+
+# Signals with a place in a message of their own; every other is an interface of DynamicJointState.
+JOINT_FIELDS = {
+    "position": ("/joint_states", "position"),
+    "velocity": ("/joint_states", "velocity"),
+    "goal": ("/joint_command", "position"),
+    "goal_velocity": ("/joint_command", "velocity"),
+}
+IMU_FIELDS = {
+    "gyro": ("angular_velocity", "rad/s", ("x", "y", "z")),
+    "acceleration": ("linear_acceleration", "m/s^2", ("x", "y", "z")),
+    "orientation": ("orientation", "1", ("w", "x", "y", "z")),
+}
+
+Messages = dict[tuple[int, str, str, tuple[str, ...]], dict[str, Any]]
+
+
+def write_mcap(
+    path: Path,
+    recordings: Sequence[Recording],
+    attachments: Mapping[str, bytes] | None = None,
+    start_ns: int = EPOCH,
+) -> None:
+    """Write recordings to an MCAP file, through a temporary file and a rename.
+
+    Reading it back gives the same signals (values exactly, times to 1 ns), facts,
+    truth and faults; the clock is then `header`. A signal of one column comes back
+    with shape (T,), and one without columns as that of the rig's only joint.
+
+    Args:
+        path: the file to make or replace.
+        recordings: the runs, in order.
+        attachments: files to carry along, by name, such as the original log.
+        start_ns: time of the first run's zero [ns since 1970].
+
+    Raises:
+        LogError: nothing to write, or a signal that begins before time zero.
+        OSError: the file cannot be written; it is then as it was.
+    """
+    if not recordings:
+        raise LogError(f"{path}: no recording to write")
+    windows = _windows(recordings, start_ns)
+    width = max(2, len(str(len(recordings) - 1)))
+    buffer = io.BytesIO()
+    writer = Writer(buffer, chunk_size=CHUNK_SIZE)
+    for i, (recording, window) in enumerate(zip(recordings, windows, strict=True)):
+        writer.add_metadata(bench_record.NAME, bench_record.to_fields(f"{i:0{width}d}", window, recording))
+    schemas = {name: writer.register_msgdef(name, text) for name, text in _used_definitions(recordings).items()}
+    for recording, window in zip(recordings, windows, strict=True):
+        for stamp, topic, schema, message in _messages(recording, window[0]):
+            writer.write_message(topic, schemas[schema], message, log_time=stamp, publish_time=stamp)
+    for name, data in (attachments or {}).items():
+        writer.add_attachment(start_ns, start_ns, name, "application/octet-stream", data)
+    writer.finish()  # type: ignore[no-untyped-call]
+    write_atomic(path, buffer.getvalue())
+
+
+def _windows(recordings: Sequence[Recording], start_ns: int) -> list[tuple[int, int]]:
+    windows = []
+    start = start_ns
+    for recording in recordings:
+        times = [signal.t for signal in recording.signals.values()]
+        if not times:
+            raise LogError(f"recording '{recording.name}' has no signals")
+        if min(t[0] for t in times) < 0:
+            raise LogError(f"recording '{recording.name}' begins before its time zero")
+        end = start + max(int(_nanoseconds(t)[-1]) for t in times)
+        windows.append((start, end))
+        # Runs begin at whole seconds: easier to find on a time line.
+        start = -(-(end + SECOND) // SECOND) * SECOND
+    return windows
+
+
+def _nanoseconds(t: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    stamps = np.round(t * 1e9).astype(np.int64)
+    if (np.diff(stamps) <= 0).any():
+        raise LogError("samples less than a nanosecond apart cannot be written")
+    return stamps
+
+
+def _used_definitions(recordings: Sequence[Recording]) -> dict[str, str]:
+    used = {_schema(signal) for recording in recordings for signal in recording.signals.values()}
+    return {name: text for name, text in DEFINITIONS.items() if name in used}
+
+
+def _schema(signal: Signal) -> str:
+    if _is_imu(signal):
+        return IMU
+    return JOINT_STATE if signal.name in JOINT_FIELDS else DYNAMIC_JOINT_STATE
+
+
+def _is_imu(signal: Signal) -> bool:
+    return signal.name in IMU_FIELDS and (signal.unit, signal.columns) == IMU_FIELDS[signal.name][1:]
+
+
+def _messages(recording: Recording, start: int) -> Iterator[tuple[int, str, str, dict[str, Any]]]:
+    """Stamp, topic, message type and content, in order of time."""
+    joint = recording.rig.servo or "joint"
+    messages: Messages = defaultdict(dict)
+    for signal in recording.signals.values():
+        add = _add_imu if _is_imu(signal) else _add_joints if signal.name in JOINT_FIELDS else _add_interface
+        add(messages, signal, start, signal.columns or (joint,))
+    for (stamp, topic, schema, joints), content in sorted(messages.items(), key=lambda item: item[0]):
+        yield stamp, topic, schema, _finish(schema, stamp, joints, content)
+
+
+def _samples(signal: Signal, start: int) -> Iterator[tuple[int, list[float]]]:
+    rows = signal.y.reshape(signal.t.size, -1).tolist()
+    return zip((start + _nanoseconds(signal.t)).tolist(), rows, strict=True)
+
+
+def _add_joints(messages: Messages, signal: Signal, start: int, joints: tuple[str, ...]) -> None:
+    topic, quantity = JOINT_FIELDS[signal.name]
+    for stamp, row in _samples(signal, start):
+        messages[stamp, topic, JOINT_STATE, joints][quantity] = row
+
+
+def _add_interface(messages: Messages, signal: Signal, start: int, joints: tuple[str, ...]) -> None:
+    for stamp, row in _samples(signal, start):
+        messages[stamp, "/dynamic_joint_states", DYNAMIC_JOINT_STATE, joints][signal.name] = row
+
+
+def _add_imu(messages: Messages, signal: Signal, start: int, joints: tuple[str, ...]) -> None:
+    quantity, _, axes = IMU_FIELDS[signal.name]
+    for stamp, row in _samples(signal, start):
+        messages[stamp, "/imu/data", IMU, ()][quantity] = dict(zip(axes, row, strict=True))
+
+
+def _finish(schema: str, stamp: int, joints: tuple[str, ...], content: dict[str, Any]) -> dict[str, Any]:
+    seconds, nanoseconds = divmod(stamp, SECOND)
+    header = {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": "imu" if schema == IMU else ""}
+    if schema == JOINT_STATE:
+        return {"header": header, "name": list(joints), **content}
+    if schema == DYNAMIC_JOINT_STATE:
+        names = list(content)
+        values = [
+            {"interface_names": names, "values": [content[name][i] for name in names]} for i in range(len(joints))
+        ]
+        return {"header": header, "joint_names": list(joints), "interface_values": values}
+    # By the message's definition a covariance of -1 marks what the sensor does not give.
+    absent = {f"{one}_covariance": [-1.0] + [0.0] * 8 for one, _, _ in IMU_FIELDS.values() if one not in content}
+    return {"header": header, **content, **absent}
