@@ -1,0 +1,145 @@
+"""BAM's JSON logs (raw and processed, plain or gzipped) -> recordings.
+
+One object a file: facts of the rig at the top, `entries` with one reading each. A raw
+log has irregular `timestamp`s; a processed one has `dt` and may leave them out.
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from frasa_sysid.calibration.files import sha256_of_file
+from frasa_sysid.errors import LogError
+from frasa_sysid.readers import faults as known_faults
+from frasa_sysid.readers.mcap import Unit
+from frasa_sysid.readers.sources import read_bytes
+from frasa_sysid.recording import Fault, FloatArray, Recording, RigFacts, Signal
+
+# entry key -> signal and unit; other numbers are kept under their own name, unit `raw`.
+SIGNALS = {
+    "position": ("position", "rad"),
+    "speed": ("velocity", "rad/s"),
+    "goal_position": ("goal", "rad"),
+    "torque_enable": ("torque_enable", "1"),
+    "input_volts": ("supply_voltage", "V"),
+    "temp": ("temperature", "degC"),
+}
+ANGLES = ("position", "speed", "goal_position")
+# header key -> rig fact
+FACTS = {
+    "mass": "mass",
+    "length": "length",
+    "arm_mass": "arm_mass",
+    "kp": "firmware_gain",
+    "vin": "supply_voltage",
+    "motor": "servo",
+    "trajectory": "trajectory",
+}
+
+
+def read_bam(path: Path, unit: Unit = "auto") -> list[Recording]:
+    """The one recording of a BAM log.
+
+    Args:
+        path: raw or processed JSON, may be gzipped.
+        unit: of angles; `deg` converts, `auto` refuses goals that can only be degrees.
+
+    Raises:
+        LogError: not such a file, or a fact or sample in it that cannot be used.
+    """
+    log = _parse(path)
+    rig = _rig(path, log)
+    times = _times(path, log)
+    signals: dict[str, Signal] = {}
+    found: list[Fault] = []
+    for key in _keys(log["entries"]):
+        name, signal_unit = SIGNALS.get(key, (key, "raw"))
+        y = _column(path, log["entries"], key)
+        if unit == "deg" and key in ANGLES:
+            y = np.deg2rad(y)
+        signal, faults = known_faults.make_signal(name, signal_unit, times, y)
+        found += faults
+        if signal is not None:
+            signals[name] = signal
+    if "position" not in signals:
+        raise LogError(f"{path}: its entries hold no position")
+    if unit == "auto":
+        known_faults.check_radians(signals, rig, str(path))
+    signals, handled = known_faults.clean(signals, rig)
+    return [
+        Recording(
+            name=path.name,
+            signals=signals,
+            rig=rig,
+            origin="real",
+            source=str(path),
+            sha256=sha256_of_file(path),
+            clock="file",
+            faults=tuple(dict.fromkeys([*found, *handled])),
+            extra={key: value for key, value in log.items() if key != "entries" and key not in FACTS},
+        )
+    ]
+
+
+def _parse(path: Path) -> dict[str, Any]:
+    data = read_bytes(path)
+    try:
+        log = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise LogError(f"{path} is not JSON: {error}") from error
+    entries = log.get("entries") if isinstance(log, dict) else None
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise LogError(f"{path} is not a BAM log: expected an object with a list 'entries'")
+    if not entries:
+        raise LogError(f"{path}: 'entries' is empty")
+    result: dict[str, Any] = log
+    return result
+
+
+def _rig(path: Path, log: Mapping[str, Any]) -> RigFacts:
+    facts: dict[str, Any] = {}
+    for key, name in FACTS.items():
+        value = log.get(key)
+        if value is None:
+            continue
+        word = name in ("servo", "trajectory")
+        if isinstance(value, bool) or not isinstance(value, str if word else int | float):
+            raise LogError(f"{path}: header '{key}' = {value!r}, expected {'a name' if word else 'a number'}")
+        facts[name] = (value.lower() if name == "servo" else value) if word else float(value)
+    try:
+        return RigFacts(**facts)
+    except LogError as error:
+        raise LogError(f"{path}: {error}") from error
+
+
+def _times(path: Path, log: Mapping[str, Any]) -> FloatArray:
+    entries = log["entries"]
+    if all("timestamp" in entry for entry in entries):
+        times = _column(path, entries, "timestamp")
+    elif isinstance(log.get("dt"), int | float) and log["dt"] > 0:
+        times = np.arange(len(entries)) * float(log["dt"])
+    else:
+        raise LogError(f"{path}: neither a 'timestamp' in every entry nor a 'dt' in the header")
+    finite = times[np.isfinite(times)]
+    return times - finite.min() if finite.size else times
+
+
+def _keys(entries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Keys of numbers, in the order of their first appearance."""
+    seen: dict[str, bool] = {}
+    for entry in entries:
+        for key, value in entry.items():
+            seen[key] = seen.get(key, False) or isinstance(value, int | float)
+    return [key for key, number in seen.items() if number and key != "timestamp"]
+
+
+def _column(path: Path, entries: Sequence[Mapping[str, Any]], key: str) -> FloatArray:
+    """One value an entry; NaN where it has none, so that the sample is dropped and counted."""
+    try:
+        return np.array([math.nan if entry.get(key) is None else float(entry[key]) for entry in entries])
+    except (TypeError, ValueError, OverflowError) as error:
+        raise LogError(f"{path}: '{key}' is not a number in every entry: {error}") from error
