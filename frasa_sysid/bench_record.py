@@ -48,8 +48,8 @@ def to_fields(run: str, window: tuple[int, int], recording: Recording) -> dict[s
     """The text fields of a run's record, with a checksum over them (MCAP has none for metadata)."""
     rig = {f.name: getattr(recording.rig, f.name) for f in fields(RigFacts)}
     result = {"version": VERSION, "run": run, "start_ns": str(window[0]), "end_ns": str(window[1])}
-    # repr of a float gives the shortest text that reads back as the same number.
-    result |= {name: "" if value is None else str(value) for name, value in rig.items()}
+    # The text of a float is the shortest that reads back as the same number.
+    result |= {name: _to_text(value) for name, value in rig.items()}
     result |= {
         "origin": recording.origin,
         "truth": _to_json(dict(recording.truth)),
@@ -114,6 +114,12 @@ def _window(text: Mapping[str, str]) -> tuple[int, int] | None:
     if not 0 <= start <= end < 2**63:
         raise LogError(f"start_ns = {start}, end_ns = {end}: expected 0 <= start <= end")
     return start, end
+
+
+def _to_text(value: Any) -> str:  # noqa: ANN401 - a fact of the rig
+    if value is None:
+        return ""
+    return value if isinstance(value, str) else str(float(value))
 
 
 def _to_json(value: Any) -> str:  # noqa: ANN401 - plain JSON values

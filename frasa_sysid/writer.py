@@ -127,7 +127,7 @@ def _messages(recording: Recording, start: int) -> Iterator[tuple[int, str, str,
     """Stamp, topic, message type and content, in order of time."""
     joint = recording.rig.servo or "joint"
     messages: Messages = defaultdict(dict)
-    for signal in recording.signals.values():
+    for _, signal in sorted(recording.signals.items()):
         add = _add_imu if _is_imu(signal) else _add_joints if signal.name in JOINT_FIELDS else _add_interface
         add(messages, signal, start, signal.columns or (joint,))
     for (stamp, topic, schema, joints), content in sorted(messages.items(), key=lambda item: item[0]):

@@ -109,7 +109,9 @@ def _rig(path: Path, log: Mapping[str, Any]) -> RigFacts:
         word = name in ("servo", "trajectory")
         if isinstance(value, bool) or not isinstance(value, str if word else int | float):
             raise LogError(f"{path}: header '{key}' = {value!r}, expected {'a name' if word else 'a number'}")
-        facts[name] = (value.lower() if name == "servo" else value) if word else float(value)
+        facts[name] = str(value) if word else float(value)
+    if "servo" in facts:
+        facts["servo"] = facts["servo"].lower()
     try:
         return RigFacts(**facts)
     except LogError as error:
@@ -119,9 +121,9 @@ def _rig(path: Path, log: Mapping[str, Any]) -> RigFacts:
 def _times(path: Path, log: Mapping[str, Any]) -> FloatArray:
     entries = log["entries"]
     if all("timestamp" in entry for entry in entries):
-        times = _column(path, entries, "timestamp")
+        times: FloatArray = _column(path, entries, "timestamp")
     elif isinstance(log.get("dt"), int | float) and log["dt"] > 0:
-        times = np.arange(len(entries)) * float(log["dt"])
+        times = np.arange(len(entries), dtype=np.float64) * float(log["dt"])
     else:
         raise LogError(f"{path}: neither a 'timestamp' in every entry nor a 'dt' in the header")
     finite = times[np.isfinite(times)]

@@ -168,7 +168,7 @@ def _file_faults(path: Path, collected: Collected) -> list[Fault]:
         for what, count in sorted(collected.skipped.items())
     ]
     if report.cut_at is not None:
-        text = f"the file is cut off in the record at byte {report.cut_at}; {report.messages} messages were recovered"
+        text = f"the file is cut off after byte {report.cut_at}; {report.messages} messages were recovered"
         faults.append(Fault("truncated", report.messages, text))
     if report.strays:
         text = f"{report.strays} messages belong to channels that the file does not describe; dropped"

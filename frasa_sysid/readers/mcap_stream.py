@@ -259,6 +259,9 @@ def _take_attachment(path: Path, frame: Frame, report: StreamReport | None) -> N
 def _read_summary(path: Path, file: BinaryIO, size: int, report: StreamReport) -> None:
     """The statistics at the end; the data are whole without them, so damage here is only reported."""
     summary = file.read(min(size, RECORD_LIMIT))
+    if not summary.endswith(MAGIC):
+        report.cut_at = size
+        return
     try:
         offset = 0
         while offset + HEAD.size <= len(summary) - len(MAGIC):
@@ -272,7 +275,6 @@ def _read_summary(path: Path, file: BinaryIO, size: int, report: StreamReport) -
                 report.summary_damaged = footer.summary_crc not in (0, crc)
                 return
             offset += HEAD.size + length
-        report.cut_at = size if not summary.endswith(MAGIC) else None
-        report.summary_damaged = report.cut_at is None
+        report.summary_damaged = True
     except PARSE_ERRORS:
         report.summary_damaged = True
