@@ -1,0 +1,18 @@
+"""The command line of training: `frasa-rl train | evaluate | play`."""
+
+import argparse
+from collections.abc import Sequence
+
+from frasa_rl import __version__
+from frasa_rl.commands import evaluate, play, train
+from frasa_sysid.calibration import run_command
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit status: 0 done, 1 failed, 2 usage, 3 bad model, 130 interrupted."""
+    parser = argparse.ArgumentParser(prog="frasa-rl", description=__doc__)
+    parser.add_argument("--version", action="version", version=__version__)
+    commands = parser.add_subparsers(required=True, metavar="command")
+    for one in (train, evaluate, play):
+        one.add_command(commands)
+    return run_command(parser, arguments)

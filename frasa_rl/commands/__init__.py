@@ -1,0 +1,1 @@
+"""The commands of frasa-rl, one file each: arguments, and what they do."""

@@ -1,0 +1,70 @@
+"""frasa-rl train."""
+
+import argparse
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from frasa_rl.settings import PRESETS, Settings
+from frasa_sysid.calibration import UsageError, add_json_flag, say
+
+if TYPE_CHECKING:
+    from frasa_rl.train import Plan
+
+Subparsers = Any  # argparse keeps the type of its subparsers private
+
+
+def add_command(commands: Subparsers) -> None:
+    """Add `train` to the command line."""
+    parser = commands.add_parser("train", help="train a stand-up policy with CrossQ")
+    parser.add_argument("--model", type=Path, help="model file (default robot_model/calibrated.xml)")
+    parser.add_argument("--minutes", type=float, help="end after this many minutes of training")
+    parser.add_argument("--steps", type=int, help="end after this many transitions")
+    parser.add_argument("--seed", type=int, help="seed of everything (default 0)")
+    parser.add_argument("--envs", type=int, help="environments stepped together")
+    parser.add_argument("--parallel", action="store_true", help="a process for every environment")
+    parser.add_argument("--threads", type=int, help="threads of torch (default 1: more stall on shared cores)")
+    parser.add_argument("--out", type=Path, help="run folder (default runs/standup-<date>-<time>)")
+    parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
+    parser.add_argument("--preset", choices=sorted(PRESETS), default="quick", help="quick: two cores; paper: FRASA's")
+    parser.add_argument(
+        "--resume", type=Path, metavar="RUN", help="continue a run folder; --minutes and --steps count from its start"
+    )
+    add_json_flag(parser)
+    parser.set_defaults(run=_run)
+
+
+def _run(args: argparse.Namespace) -> dict[str, Any]:
+    from frasa_rl.train import Plan, extended, plan_of, train  # torch is imported only where it is needed
+
+    if args.resume:
+        given = [name for name in ("model", "seed", "envs", "threads", "out") if getattr(args, name) is not None]
+        if given:
+            raise UsageError(f"--resume takes {', '.join('--' + one for one in given)} from the run itself")
+        plan = extended(plan_of(args.resume), args.steps, args.minutes)
+    else:
+        plan = Plan(
+            model=args.model or Path("robot_model/calibrated.xml"),
+            out=args.out or Path("runs") / f"standup-{datetime.now():%Y%m%d-%H%M%S}",
+            settings=_settings(args),
+            steps=args.steps,
+            minutes=args.minutes,
+            device=args.device,
+            parallel=args.parallel,
+        )
+    result = train(plan, resume=bool(args.resume))
+    _tell(plan, result)
+    return result
+
+
+def _settings(args: argparse.Namespace) -> Settings:
+    given = {name: getattr(args, name) for name in ("seed", "envs", "threads") if getattr(args, name) is not None}
+    return replace(PRESETS[args.preset], **given)
+
+
+def _tell(plan: "Plan", result: dict[str, Any]) -> None:
+    say(
+        f"\n{result['steps']:,} steps, {result['updates']:,} updates, {result['minutes']:.1f} min; "
+        f"policy in {result['policy']}; try: frasa-rl evaluate {plan.out}"
+    )

@@ -1,0 +1,30 @@
+"""The learning curve of a run as a picture."""
+
+from pathlib import Path
+
+from frasa_rl.progress import COLUMNS, CSV_FILE, read_progress
+
+
+def draw_curve(run: Path) -> Path | None:
+    """Return and share of episodes ending upright against minutes, from progress.csv; None without rows.
+
+    Raises:
+        ModuleNotFoundError: matplotlib is not installed.
+    """
+    from matplotlib.figure import Figure  # no pyplot: no window, no global state
+
+    rows = read_progress(run / CSV_FILE)
+    if not rows:
+        return None
+    columns = dict(zip(COLUMNS, zip(*rows, strict=True), strict=True))
+    figure = Figure(figsize=(7.0, 4.0), layout="constrained")
+    left = figure.subplots()
+    left.plot(columns["minutes"], columns["return"], color="tab:blue")
+    left.set(xlabel="training time [min]", ylabel="return of an episode (at most 125)", title=run.name)
+    left.grid(alpha=0.3)
+    right = left.twinx()
+    right.plot(columns["minutes"], [100.0 * one for one in columns["success"]], color="tab:green")
+    right.set(ylabel="episodes that end standing [%]", ylim=(-2, 102))
+    path = run / "learning_curve.png"
+    figure.savefig(path, dpi=120)
+    return path

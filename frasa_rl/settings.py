@@ -1,0 +1,76 @@
+"""How CrossQ is run: the paper's settings, and quick ones for two processor cores."""
+
+from dataclasses import dataclass
+
+from frasa_sysid.calibration import UsageError
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Everything a run is determined by, beside the task and the model.
+
+    Attributes:
+        envs: environments stepped together.
+        rollout_steps: transitions gathered between two rounds of learning, a multiple of `envs`.
+        updates_per_step: gradient updates a transition.
+        learning_starts: transitions of random actions before learning.
+        batch: transitions an update.
+        buffer: transitions kept.
+        discount: a control step.
+        n_step: rewards summed before the critic is asked.
+        learning_rate, policy_delay: of CrossQ.
+        actor, critic: widths of the hidden layers.
+        renorm_warmup: batches after which batch renormalisation uses running statistics.
+        threads: of torch on a processor; more than one stalls where cores are shared.
+        checkpoint_steps: transitions between two checkpoints.
+        seed: of everything.
+    """
+
+    envs: int = 4
+    rollout_steps: int = 16
+    updates_per_step: float = 1.0
+    learning_starts: int = 10_000
+    batch: int = 128
+    buffer: int = 300_000
+    discount: float = 0.99
+    n_step: int = 3
+    learning_rate: float = 1e-3
+    policy_delay: int = 3
+    actor: tuple[int, ...] = (128, 128)
+    critic: tuple[int, ...] = (128, 128)
+    renorm_warmup: int = 10_000
+    threads: int = 1
+    checkpoint_steps: int = 20_000
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("envs", "batch", "buffer", "n_step", "policy_delay", "threads", "checkpoint_steps"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"{name} is {getattr(self, name)}: expected at least 1")
+        if self.seed < 0:
+            raise UsageError(f"the seed is {self.seed}: expected 0 or more")
+
+    @property
+    def rounds(self) -> tuple[int, int]:
+        """Steps of every environment, then gradient updates, in one round."""
+        steps = max(1, self.rollout_steps // self.envs)
+        return steps, max(1, round(self.updates_per_step * steps * self.envs))
+
+
+PRESETS = {
+    # Chosen for two cores without a GPU: one update costs as much as several physics steps.
+    "quick": Settings(),
+    # FRASA's published recipe: 512 updates per 64 transitions, the first 100,000 of random actions.
+    "paper": Settings(
+        envs=16,
+        rollout_steps=64,
+        updates_per_step=8.0,
+        learning_starts=100_000,
+        batch=256,
+        buffer=1_000_000,
+        n_step=1,
+        actor=(384, 256),
+        critic=(384, 256),
+        renorm_warmup=100_000,
+    ),
+}
