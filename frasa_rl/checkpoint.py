@@ -33,7 +33,8 @@ def save_checkpoint(model: CrossQ, run: Path, elapsed_s: float) -> Path:
     content = io.BytesIO()
     model.save(content)
     (partial / "model.zip").write_bytes(content.getvalue())
-    np.savez(partial / "state.npz", elapsed_s=np.array(elapsed_s), **snapshot(model))
+    kept = {**snapshot(model), "elapsed_s": np.array(elapsed_s)}
+    np.savez(partial / "state.npz", allow_pickle=False, **kept)
     if done.exists():
         shutil.rmtree(done)
     partial.rename(done)

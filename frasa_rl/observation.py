@@ -74,4 +74,5 @@ def observe(robot: Robot, data: mujoco.MjData, action: Floats, bound: Observatio
             action,
         ]
     )
-    return np.clip(seen, -bound, bound).astype(np.float32)
+    clipped: Observation = np.clip(seen, -bound, bound).astype(np.float32)
+    return clipped

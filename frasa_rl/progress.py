@@ -84,16 +84,16 @@ class Progress(BaseCallback):
     def add_row(self) -> None:
         """One row of progress.csv about the last hundred episodes."""
         self._row_at = self.num_timesteps
-        episodes, successes = self.model.ep_info_buffer or [], self.model.ep_success_buffer or []
+        episodes = self._episodes()
         row = [
             self.num_timesteps,
             round(self.elapsed_s / 60.0, 4),
             _mean([one["r"] for one in episodes]),
             _mean([one["l"] for one in episodes]),
-            _mean(list(successes)),
+            self._success(),
             _mean(self._posture),
             self._diverged,
-            self.model._n_updates,  # type: ignore[attr-defined]
+            self.model._n_updates,
             round(self._rate(), 1),
         ]
         self._posture = []
@@ -108,16 +108,24 @@ class Progress(BaseCallback):
 
     def show(self) -> None:
         """The progress line."""
-        episodes = self.model.ep_info_buffer or []
+        episodes = self._episodes()
         line = (
             f"{self.num_timesteps:>9,} steps  {_clock(self.elapsed_s)}  return {_mean([e['r'] for e in episodes]):6.1f}"
-            f"  standing {100.0 * _mean(list(self.model.ep_success_buffer or [0.0])):3.0f} %"
+            f"  standing {100.0 * self._success():3.0f} %"
             f"  {self._rate():5.0f} steps/s  left {_clock(self._left_s())}"
         )
         if sys.stderr.isatty():
             print(f"\r{line}", end="", file=sys.stderr, flush=True)
         else:
             say(line)
+
+    def _episodes(self) -> list[dict[str, float]]:
+        """Return `r` and length `l` of the last hundred episodes."""
+        return list(self.model.ep_info_buffer or [])
+
+    def _success(self) -> float:
+        """Share of the last hundred episodes that ended standing."""
+        return _mean([float(one) for one in self.model.ep_success_buffer or []])
 
     def _rate(self) -> float:
         return (self.num_timesteps - self._first) / max(self.elapsed_s - self._first_s, 1e-9)

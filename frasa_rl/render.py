@@ -50,7 +50,8 @@ class Camera:
     def picture(self, data: mujoco.MjData) -> Frame:
         """The scene now, shape (height, width, 3)."""
         self._renderer.update_scene(data, self._view)
-        return self._renderer.render().copy()
+        picture: Frame = self._renderer.render().copy()
+        return picture
 
     def close(self) -> None:
         """Free the OpenGL context."""

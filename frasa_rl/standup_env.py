@@ -9,6 +9,7 @@ from typing import Any, get_args
 import gymnasium
 import mujoco
 import numpy as np
+import numpy.typing as npt
 from gymnasium import spaces
 
 from frasa_rl import reward
@@ -20,10 +21,11 @@ from frasa_rl.render import Camera, Frame
 from frasa_rl.robot import Floats, find_robot, pitch_of
 from frasa_sysid.calibration import UsageError, calibration_id, load_calibration, load_model
 
+Action = npt.NDArray[np.float32]
 _START = Task()
 
 
-class StandUp(gymnasium.Env[Observation, Floats]):
+class StandUp(gymnasium.Env[Observation, Action]):
     """A fallen humanoid learns to stand up.
 
     One model belongs to one environment: every episode draws its robot anew from the
@@ -94,7 +96,7 @@ class StandUp(gymnasium.Env[Observation, Floats]):
         self._last = self._observe()
         return self._last, self._info({})
 
-    def step(self, action: Floats) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Apply one action for a control period.
 
         Args:
@@ -118,7 +120,7 @@ class StandUp(gymnasium.Env[Observation, Floats]):
         """The 5 joint errors (mean of both sides) and the pitch error to the standing pose [rad], shape (6,)."""
         return reward.errors(self.robot, self.data, self.task)
 
-    def render(self) -> Frame | None:  # type: ignore[override] # gymnasium's type also allows a list of frames
+    def render(self) -> Frame | None:
         """The scene now, shape (height, width, 3), in render mode `rgb_array`."""
         if self.render_mode is None:
             return None

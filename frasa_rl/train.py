@@ -143,7 +143,9 @@ def plan_of(run: Path) -> Plan:
     try:
         if said["schema"] != SCHEMA:
             raise ValueError(f"schema '{said['schema']}', expected '{SCHEMA}'")
-        settings = {name: tuple(one) if isinstance(one, list) else one for name, one in said["settings"].items()}
+        settings: dict[str, Any] = {
+            name: tuple(one) if isinstance(one, list) else one for name, one in said["settings"].items()
+        }
         return Plan(
             model=Path(said["model"]),
             out=run,
@@ -169,7 +171,7 @@ def make_envs(plan: Plan) -> VecEnv:
     makers: list[Callable[[], gymnasium.Env[Any, Any]]] = [
         partial(_make_env, plan.model, plan.parallel) for _ in range(plan.settings.envs)
     ]
-    return VecMonitor(SubprocVecEnv(makers) if plan.parallel else DummyVecEnv(makers))  # type: ignore[arg-type]
+    return VecMonitor(SubprocVecEnv(makers) if plan.parallel else DummyVecEnv(makers))
 
 
 def _make_env(model: Path, alone: bool) -> StandUp:
