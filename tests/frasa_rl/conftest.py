@@ -1,0 +1,57 @@
+"""Environments and models that several tests of training share."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+import yaml
+
+from frasa_rl.standup_env import StandUp
+from frasa_sysid.calibration import Calibration, Range
+
+MEASURED = Calibration(
+    id="c0ffee",
+    ranges={
+        "mx106.damping": Range(1.60, 1.65, 1.70, "N m s/rad", "a test"),
+        "mx106.frictionloss": Range(0.11, 0.12, 0.13, "N m", "a test"),
+        "mx106.kp": Range(20.0, 21.0, 22.0, "N m/rad", "a test"),
+        "mx106.delay": Range(0.004, 0.006, 0.008, "s", "a test"),
+        "sensor.gyro_delay": Range(0.020, 0.025, 0.030, "s", "a test"),
+    },
+)
+
+
+@pytest.fixture
+def nominal(robot_model_dir: Path) -> Path:
+    return robot_model_dir / "nominal.xml"
+
+
+@pytest.fixture
+def model_copy(robot_model_dir: Path, tmp_path: Path) -> Path:
+    """A copy of the nominal model, to be edited."""
+    folder = tmp_path / "model"
+    shutil.copytree(robot_model_dir, folder)
+    return folder / "nominal.xml"
+
+
+@pytest.fixture
+def calibrated(model_copy: Path) -> Path:
+    """A model with a calibration id, and the ranges that belong to it."""
+    text = model_copy.read_text().replace(
+        "</mujoco>", f'<custom><text name="calibration_id" data="{MEASURED.id}"/></custom></mujoco>'
+    )
+    path = model_copy.with_name("calibrated.xml")
+    path.write_text(text)
+    path.with_name("randomization.yaml").write_text(yaml.safe_dump(MEASURED.to_dict()))
+    return path
+
+
+@pytest.fixture
+def env(nominal: Path) -> StandUp:
+    return StandUp(nominal)
+
+
+@pytest.fixture
+def plain_env(nominal: Path) -> StandUp:
+    """The robot as it is in its file, episode after episode."""
+    return StandUp(nominal, randomize=False)

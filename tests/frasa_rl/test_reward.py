@@ -1,0 +1,64 @@
+"""Each term of the reward equals what a person computes with the published formula."""
+
+import numpy as np
+import pytest
+
+from frasa_rl import reward
+from frasa_rl.config import Reward, Task
+
+WEIGHTS = Reward()
+
+
+def test_posture():
+    """exp(-20 |e|^2): 1 in the pose, 1/e at an error of 1/sqrt(20) rad."""
+    assert reward.posture(WEIGHTS, np.zeros(6)) == 1.0
+    assert reward.posture(WEIGHTS, np.array([0.1, 0, 0, -0.2, 0, 0])) == pytest.approx(np.exp(-1.0))
+
+
+def test_action():
+    """0.10 exp(-|a|) with a in rad/s."""
+    assert reward.action(WEIGHTS, np.zeros(5)) == 0.10
+    assert reward.action(WEIGHTS, np.array([3.0, 0, -4.0, 0, 0])) == pytest.approx(0.1 * np.exp(-5.0))
+
+
+def test_variation():
+    """0.05 exp(-|a - a_prev|) with a in rad/s."""
+    a = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+    assert reward.variation(WEIGHTS, a, a) == 0.05
+    assert reward.variation(WEIGHTS, a, a - [0, 2.0, 0, 0, 0]) == pytest.approx(0.05 * np.exp(-2.0))
+
+
+def test_self_contact():
+    """0.10 exp(-force): 0.1 without contact, practically nothing from a few newtons on."""
+    assert reward.self_contact(WEIGHTS, 0.0) == 0.10
+    assert reward.self_contact(WEIGHTS, 2.0) == pytest.approx(0.1 * np.exp(-2.0))
+
+
+def test_forces_are_summed_over_contacts(plain_env):
+    """The self-contact force is the sum of the norms of all its slots."""
+    plain_env.reset(seed=0)
+    slots = np.zeros((8, 3))
+    slots[0], slots[3] = (3.0, 0.0, 4.0), (0.0, 2.0, 0.0)
+    plain_env.data.sensordata[plain_env.robot.self_contact] = slots.ravel()
+    assert reward.self_contact_force(plain_env.robot, plain_env.data) == pytest.approx(7.0)
+
+
+def test_errors_use_both_sides_and_forward_pitch(plain_env):
+    """The errors are mean joint angles minus the pose, then the pitch minus +8.5 deg, leaning forward positive."""
+    env = plain_env
+    env.reset(seed=0)
+    env.data.qpos[env.robot.qpos] = np.radians([[one.target_deg - 1, one.target_deg + 3] for one in Task().joints])
+    half = np.radians(10.5) / 2
+    env.data.sensordata[env.robot.orientation] = (np.cos(half), 0.0, np.sin(half), 0.0)
+    np.testing.assert_allclose(np.degrees(env.errors()), [1, 1, 1, 1, 1, 2], atol=1e-9)
+
+
+def test_a_step_pays_the_sum_of_its_terms(plain_env):
+    """The reward is the sum of the four terms of the applied action in rad/s."""
+    plain_env.reset(seed=0, options={"start": "target"})
+    action = np.array([0.05, 0, 0, 0, 0])
+    _, paid, _, _, info = plain_env.step(action)
+    assert paid == pytest.approx(sum(info["terms"].values()))
+    assert info["terms"]["action"] == pytest.approx(0.10 * np.exp(-0.05 * 2 * np.pi))
+    assert info["terms"]["variation"] == pytest.approx(0.05 * np.exp(-0.05 * 2 * np.pi))
+    assert set(info["terms"]) == {"posture", "action", "variation", "self_contact"}
