@@ -6,18 +6,23 @@ in once, with `frasa-sysid import`, so that nothing has to be guessed twice.
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 from frasa_sysid.errors import LogError
 from frasa_sysid.readers.mcap import read_mcap
 from frasa_sysid.readers.mcap_stream import MAGIC
 from frasa_sysid.readers.sources import GZIP_MAGIC, check_source
-from frasa_sysid.recording import Recording
+from frasa_sysid.recording import Clock, Recording
 
 __all__ = ["read_log", "read_logs", "read_mcap"]
 
 
-def read_log(path: Path) -> list[Recording]:
+def read_log(path: Path, clock: Clock | Literal["auto"] = "auto") -> list[Recording]:
     """The recordings of a log.
+
+    Args:
+        path: an MCAP file.
+        clock: which stamps to use; `auto` takes the best that all signals have.
 
     Raises:
         LogError: no MCAP file (the message says how to make it one), or see `read_mcap`.
@@ -26,7 +31,7 @@ def read_log(path: Path) -> list[Recording]:
     with path.open("rb") as file:
         head = file.read(64)
     if head.startswith(MAGIC):
-        return read_mcap(path)
+        return read_mcap(path, clock)
     raise LogError(f"{path} is not an MCAP file{_advice(path, head)}")
 
 

@@ -17,7 +17,7 @@ from frasa_sysid.errors import LogError
 from frasa_sysid.readers import faults as known_faults
 from frasa_sysid.readers.mcap import Unit
 from frasa_sysid.readers.sources import read_bytes
-from frasa_sysid.recording import Fault, FloatArray, Recording, RigFacts, Signal
+from frasa_sysid.recording import UNITS, Fault, FloatArray, Recording, RigFacts, Signal
 
 # entry key -> signal and unit; other numbers are kept under their own name, unit `raw`.
 SIGNALS = {
@@ -57,7 +57,7 @@ def read_bam(path: Path, unit: Unit = "auto") -> list[Recording]:
     signals: dict[str, Signal] = {}
     found: list[Fault] = []
     for key in _keys(log["entries"]):
-        name, signal_unit = SIGNALS.get(key, (key, "raw"))
+        name, signal_unit = SIGNALS.get(key, (key, UNITS.get(key, "raw")))
         y = _column(path, log["entries"], key)
         if unit == "deg" and key in ANGLES:
             y = np.deg2rad(y)
@@ -79,7 +79,7 @@ def read_bam(path: Path, unit: Unit = "auto") -> list[Recording]:
             source=str(path),
             sha256=sha256_of_file(path),
             clock="file",
-            faults=tuple(dict.fromkeys([*found, *handled])),
+            faults=known_faults.unique([*found, *handled]),
             extra={key: value for key, value in log.items() if key != "entries" and key not in FACTS},
         )
     ]

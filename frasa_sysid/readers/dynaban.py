@@ -89,7 +89,7 @@ def _recording(path: Path, index: int, test: Test, sha256: str) -> Recording:
     name = f"{path.name}#{index:03d}"
     position, wraps = known_faults.unwrap(steps, STEPS_PER_TURN)
     if wraps:
-        text = f"position: the encoder wrapped {wraps} times; unwrapped"
+        text = f"position: {known_faults.plural(wraps, 'wrap')} of the encoder; unwrapped"
         found.append(Fault("encoder_wrap", wraps, text))
     found.append(Fault("first_sample", 1, "velocity: the first sample of a test is its command; dropped"))
     columns: list[tuple[str, str, FloatArray, FloatArray]] = [

@@ -6,7 +6,7 @@ with a `Fault` that says what was found and what was done; nothing is mended sil
 to know the quantity.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -27,6 +27,19 @@ RATE_RATIO = 1.25
 VOLTAGE_TOLERANCE = 0.1
 DEGREES_FROM = 4 * np.pi  # rad; two turns, more than an arm on a bench is ever told to go
 SIXTEEN_BIT = ("load", "current", "present_load", "present_current", "present_pwm", "pwm", "effort")
+
+
+def plural(count: int, noun: str) -> str:
+    """`1 run`, `2 runs`."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def unique(faults: Iterable[Fault]) -> tuple[Fault, ...]:
+    """Each fault once, the first of its kind and wording: a file remembers what was found when it was made."""
+    first: dict[tuple[str, str], Fault] = {}
+    for fault in faults:
+        first.setdefault((fault.code, fault.message), fault)
+    return tuple(first.values())
 
 
 def make_signal(
@@ -54,18 +67,26 @@ def make_signal(
     if backwards:
         order = np.argsort(t, kind="stable")
         t, y = t[order], y[order]
-        faults.append(Fault("time_order", backwards, f"{name}: time ran backwards {backwards} times; sorted by stamp"))
+        faults.append(
+            Fault("time_order", backwards, f"{name}: time ran backwards {plural(backwards, 'time')}; sorted by stamp")
+        )
     repeated = np.concatenate([[False], np.diff(t) == 0]) if t.size else np.zeros(0, dtype=bool)
     if repeated.any():
         count = int(repeated.sum())
         t, y = t[~repeated], y[~repeated]
-        faults.append(Fault("repeated_time", count, f"{name}: {count} samples repeat a time stamp; the first is kept"))
+        faults.append(
+            Fault(
+                "repeated_time",
+                count,
+                f"{name}: {plural(count, 'sample')} with a time stamp that was there before; dropped",
+            )
+        )
     return (Signal(name, unit, t, y, columns) if t.size else None), faults
 
 
 def _not_finite(name: str, count: int, everything: bool) -> Fault:
-    what = "no sample is left" if everything else "they were dropped"
-    return Fault("not_finite", count, f"{name}: {count} samples are not finite (NaN or infinity); {what}")
+    what = "no sample is left" if everything else "dropped"
+    return Fault("not_finite", count, f"{name}: {plural(count, 'sample')} not finite (NaN or infinity); {what}")
 
 
 def _without_dead_columns(
@@ -146,7 +167,11 @@ def _drop_failed_reads(signals: dict[str, Signal]) -> list[Fault]:
             if keep.any():
                 signals[name] = replace(signals[name], t=signals[name].t[keep], y=signals[name].y[keep])
     count = int(failed.sum())
-    return [Fault("failed_read", count, f"position: {count} failed reads (a lone -3.14 rad); dropped, with velocity")]
+    return [
+        Fault(
+            "failed_read", count, f"position: {plural(count, 'failed read')} (a lone -3.14 rad); dropped, with velocity"
+        )
+    ]
 
 
 def unwrap(y: FloatArray, period: float = TURN) -> tuple[FloatArray, int]:
@@ -176,7 +201,7 @@ def _unwrap_position(signals: dict[str, Signal]) -> list[Fault]:
         return []
     y = np.stack([column for column, _ in unwrapped], axis=1).reshape(position.y.shape)
     signals["position"] = replace(position, y=y)
-    return [Fault("encoder_wrap", count, f"position: the encoder wrapped {count} times; unwrapped")]
+    return [Fault("encoder_wrap", count, f"position: {plural(count, 'wrap')} of the encoder; unwrapped")]
 
 
 def _make_signed(signals: dict[str, Signal]) -> list[Fault]:
@@ -188,7 +213,7 @@ def _make_signed(signals: dict[str, Signal]) -> list[Fault]:
         wrapped = signal.y >= 2**15
         signals[name] = replace(signal, y=np.where(wrapped, signal.y - 2**16, signal.y))
         count = int(wrapped.sum())
-        text = f"{name}: {count} negative values were stored as unsigned 16 bit (65535 for -1); made signed"
+        text = f"{name}: {plural(count, 'negative value')} stored as unsigned 16 bit (65535 for -1); made signed"
         faults.append(Fault("unsigned_load", count, text))
     return faults
 
@@ -206,7 +231,7 @@ def _voltage_fault(signals: Mapping[str, Signal], rig: RigFacts) -> list[Fault]:
     if abs(rig.supply_voltage - median) <= VOLTAGE_TOLERANCE * abs(median):
         return []
     text = f"declared supply {rig.supply_voltage:g} V, measured {median:.4g} V (median); the measured signal counts"
-    return [Fault("voltage_contradicted", measured.t.size, text)]
+    return [Fault("voltage_contradicted", 1, text)]
 
 
 def _timing_faults(signals: Mapping[str, Signal]) -> list[Fault]:
@@ -230,7 +255,7 @@ def _gap_fault(name: str, t: FloatArray) -> list[Fault]:
     gaps = dt[dt > GAP * median]
     if gaps.size == 0:
         return []
-    text = f"{name}: {gaps.size} gaps, the longest {gaps.max():.4g} s where {median:.4g} s is usual"
+    text = f"{name}: {plural(int(gaps.size), 'gap')}, the longest {gaps.max():.4g} s where {median:.4g} s is usual"
     return [Fault("gap", int(gaps.size), text)]
 
 

@@ -274,7 +274,7 @@ def _make_recording(
         source=str(path),
         sha256=sha256,
         clock=clock,
-        faults=tuple(dict.fromkeys([*run.faults, *found, *handled])),
+        faults=known_faults.unique([*run.faults, *found, *handled]),
         truth=run.truth,
         extra=run.extra,
     )

@@ -30,7 +30,7 @@ MESSAGE_HEAD = struct.Struct("<HIQQ")
 COMPRESSIONS = ("", "lz4", "zstd")
 RECORD_LIMIT = 2**30  # bytes; a bench log's largest record is a few MB
 CHUNK_LIMIT = 2**28  # bytes after decompression; recorders write chunks of 1 to 16 MB
-PARSE_ERRORS = (McapError, struct.error, ValueError, zstandard.ZstdError, RuntimeError, EOFError)
+PARSE_ERRORS = (McapError, struct.error, ValueError, OverflowError, zstandard.ZstdError, RuntimeError, EOFError)
 
 
 @dataclass

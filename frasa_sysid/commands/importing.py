@@ -1,0 +1,159 @@
+"""`frasa-sysid import`: foreign logs -> MCAP, one file a source, the original attached.
+
+A source that cannot be read is named and costs no other; the exit status says at the
+end that there was one.
+"""
+
+import argparse
+import glob
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from frasa_sysid.calibration.command_line import add_json_flag, say
+from frasa_sysid.errors import LogError, UsageError
+from frasa_sysid.readers.bam import read_bam
+from frasa_sysid.readers.dynaban import read_dynaban
+from frasa_sysid.readers.mcap import Unit, read_mcap
+from frasa_sysid.recording import Recording
+from frasa_sysid.rig_table import RigRow, read_rig_table, with_rig
+from frasa_sysid.writer import write_mcap
+
+SCHEMA = "frasa.import/1"
+Read = Callable[[Path, Unit], list[Recording]]
+READERS: Mapping[str, Read] = {
+    "bam": read_bam,
+    "dynaban": lambda path, unit: read_dynaban(path),
+    "mcap": lambda path, unit: read_mcap(path, unit=unit),
+}
+# What is taken from a directory; files named one by one may be called anything.
+PATTERNS = {"bam": ("*.json", "*.json.gz"), "dynaban": ("*.txt", "*.gz", "*.log"), "mcap": ("*.mcap",)}
+SUFFIXES = (".gz", ".json", ".txt", ".log", ".mcap")
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `import` to the command line."""
+    parser = subparsers.add_parser(
+        "import",
+        help="bring foreign logs to MCAP, nothing lost",
+        description="Bring foreign logs to MCAP: one file a source, with the original attached. "
+        "Known faults of such logs are handled and reported.",
+    )
+    parser.add_argument("sources", nargs="+", metavar="SRC", help="files, directories or quoted globs")
+    parser.add_argument("--format", required=True, choices=sorted(READERS), help="what the sources are")
+    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder of the MCAP files")
+    parser.add_argument(
+        "--rig-table",
+        type=Path,
+        metavar="CSV",
+        help="inertia and gravity by rig: columns mass, length, total_inertia, total_g_bias",
+    )
+    parser.add_argument("--servo", metavar="NAME", help="servo type, where the log does not say or says it wrong")
+    parser.add_argument("--unit", choices=("rad", "deg"), help="unit of joint angles (default: rad, checked)")
+    add_json_flag(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> dict[str, Any]:
+    """Import all sources.
+
+    Raises:
+        UsageError: arguments that do not go together.
+        LogError: at least one source could not be imported; the others were.
+    """
+    if args.unit == "deg" and args.format == "dynaban":
+        raise UsageError("--unit deg: Dynaban positions are encoder steps, not degrees")
+    table = read_rig_table(args.rig_table) if args.rig_table else None
+    sources = find_sources(args.sources, args.format)
+    outputs = _outputs(sources, args.out)
+    done: list[dict[str, Any]] = []
+    failed = 0
+    for source, out in zip(sources, outputs, strict=True):
+        try:
+            recordings = _import(source, args, table)
+            write_mcap(out, recordings, {source.name: source.read_bytes()})
+        except (LogError, PermissionError) as error:
+            say(f"not imported: {error}")
+            failed += 1
+        else:
+            done.append(_describe(source, out, recordings))
+    _tell(done, args.out)
+    if failed:
+        raise LogError(f"{failed} of {len(sources)} sources could not be imported")
+    return {"schema": SCHEMA, "imported": done}
+
+
+def find_sources(arguments: Sequence[str], form: str) -> list[Path]:
+    """The files that the arguments stand for, each once: files, those of a directory, or of a glob.
+
+    Raises:
+        LogError: an argument that stands for no file.
+    """
+    found: dict[Path, None] = {}
+    for argument in arguments:
+        path = Path(argument)
+        if path.is_dir():
+            files = sorted({file for pattern in PATTERNS[form] for file in path.glob(pattern) if file.is_file()})
+            if not files:
+                raise LogError(f"{path} holds no {' or '.join(PATTERNS[form])} file")
+        elif path.exists():
+            files = [path]
+        else:
+            files = sorted(Path(one) for one in glob.glob(argument, recursive=True) if Path(one).is_file())  # noqa: PTH207 - absolute patterns
+            if not files:
+                raise LogError(f"{argument} does not exist" + (" and matches no file" if "*" in argument else ""))
+        found |= dict.fromkeys(files)
+    return list(found)
+
+
+def _outputs(sources: Sequence[Path], folder: Path) -> list[Path]:
+    outputs = [folder / f"{stem(source)}.mcap" for source in sources]
+    for out, count in Counter(outputs).items():
+        if count > 1:
+            raise UsageError(f"{count} sources would become {out}; import them into different folders")
+    for source, out in zip(sources, outputs, strict=True):
+        if out.exists() and out.samefile(source):
+            raise UsageError(f"{source} would be replaced by its own import; choose another --out")
+    return outputs
+
+
+def stem(source: Path) -> str:
+    """A log's name without the endings of its format: `a.json.gz` -> `a`."""
+    name = source.name
+    while Path(name).suffix.lower() in SUFFIXES and Path(name).stem:
+        name = Path(name).stem
+    return name
+
+
+def _import(source: Path, args: argparse.Namespace, table: list[RigRow] | None) -> list[Recording]:
+    recordings = READERS[args.format](source, args.unit or "auto")
+    if table is not None:
+        recordings = [with_rig(recording, table, args.rig_table) for recording in recordings]
+    return [_finish(recording, source, args.servo) for recording in recordings]
+
+
+def _finish(recording: Recording, source: Path, servo: str | None) -> Recording:
+    rig = replace(recording.rig, servo=servo.lower()) if servo else recording.rig
+    origin = {"imported_from": source.name, "imported_sha256": recording.sha256}
+    return replace(recording, rig=rig, extra={**recording.extra, **origin})
+
+
+def _describe(source: Path, out: Path, recordings: Sequence[Recording]) -> dict[str, Any]:
+    faults: Counter[str] = Counter()
+    for fault in (fault for recording in recordings for fault in recording.faults):
+        faults[fault.code] += fault.count
+    return {"source": str(source), "out": str(out), "recordings": len(recordings), "faults": dict(faults)}
+
+
+def _tell(done: Sequence[Mapping[str, Any]], folder: Path) -> None:
+    runs = sum(one["recordings"] for one in done)
+    say(f"imported {len(done)} logs with {runs} recordings into {folder}")
+    counts: Counter[str] = Counter()
+    logs: Counter[str] = Counter()
+    for one in done:
+        counts.update(one["faults"])
+        logs.update(one["faults"].keys())
+    for code, count in sorted(counts.items()):
+        say(f"  {code}: {count} in {logs[code]} of {len(done)} logs, handled")

@@ -1,0 +1,167 @@
+"""`frasa-sysid inspect`: what is in a log, its clock and faults, and what it can identify."""
+
+import argparse
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from frasa_sysid.calibration.command_line import add_json_flag
+from frasa_sysid.identifiability import Finding, findings, next_logs
+from frasa_sysid.inspection import SignalSummary, is_bench, motions, summarise
+from frasa_sysid.readers import read_log
+from frasa_sysid.recording import Recording, Signal
+
+SCHEMA = "frasa.inspect/1"
+FEW = 2  # recordings that are shown one by one
+COLOURS = {"yes": "green", "weak": "yellow", "no": "red"}
+
+
+def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `inspect` to the command line."""
+    parser = subparsers.add_parser(
+        "inspect",
+        help="what is in a log, its clock and faults, and what it can identify",
+        description="Show what is in logs: signals, rates, clock, faults, rigs; and what all of them together "
+        "can identify, with the log to record next.",
+    )
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="MCAP files")
+    parser.add_argument(
+        "--clock", choices=("auto", "header", "publish", "log"), default="auto", help="which stamps to use"
+    )
+    parser.add_argument("--verbose", action="store_true", help="every recording by itself, however many")
+    add_json_flag(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> dict[str, Any]:
+    """Inspect logs.
+
+    Raises:
+        LogError: a log that cannot be read.
+    """
+    recordings = [recording for path in args.logs for recording in read_log(path, args.clock)]
+    found = findings(motions(recordings))
+    console = Console(stderr=True, highlight=False)
+    if args.verbose or len(recordings) <= FEW:
+        for recording in recordings:
+            _show_recording(console, recording)
+    else:
+        _show_groups(console, recordings)
+    _show_faults(console, recordings)
+    _show_findings(console, recordings, found)
+    return {
+        "schema": SCHEMA,
+        "recordings": [_describe(recording) for recording in recordings],
+        "identifiable": [asdict(one) for one in found],
+        "next": next_logs(found),
+    }
+
+
+def _describe(recording: Recording) -> dict[str, Any]:
+    return {
+        "name": recording.name,
+        "source": recording.source,
+        "sha256": recording.sha256,
+        "origin": recording.origin,
+        "clock": recording.clock,
+        "duration_s": recording.duration,
+        "rig": recording.rig.known(),
+        "truth": dict(recording.truth),
+        "signals": [asdict(summarise(signal)) for signal in recording.signals.values()],
+        "faults": [asdict(fault) for fault in recording.faults],
+    }
+
+
+def _show_recording(console: Console, recording: Recording) -> None:
+    facts = ", ".join(f"{name} {value}" for name, value in recording.rig.known().items())
+    title = f"{recording.name}: {recording.duration:.2f} s, {recording.origin}, {recording.clock} clock\n{facts}"
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for heading in ("signal", "unit", "samples", "period ms (p50/99/max)", "range", "quantum"):
+        table.add_column(heading, justify="left" if heading in ("signal", "unit") else "right")
+    for signal in recording.signals.values():
+        table.add_row(*_row(summarise(signal)))
+    console.print(table)
+
+
+def _row(one: SignalSummary) -> tuple[str, ...]:
+    name = f"{one.name} x {len(one.columns)}" if one.columns else one.name
+    periods = "/".join(f"{1e3 * period:.3g}" for period in (one.period_median, one.period_p99, one.period_max))
+    step = "-" if one.quantum is None else f"{one.quantum:.4g}"
+    return name, one.unit, str(one.samples), periods, f"{one.low:.3g}..{one.high:.3g}", step
+
+
+def _show_groups(console: Console, recordings: Sequence[Recording]) -> None:
+    """One line a rig: many logs of one bench differ in gain and trajectory only."""
+    groups: dict[tuple[str, str, str], list[Recording]] = defaultdict(list)
+    for recording in recordings:
+        rig = recording.rig
+        groups[rig.servo or "?", _number(rig.mass), _number(rig.length)].append(recording)
+    clocks = ", ".join(sorted({one.clock for one in recordings}))
+    table = Table(title=f"{len(recordings)} recordings, {clocks} clock", title_justify="left", title_style="bold")
+    for heading in ("servo", "load", "logs", "gains", "motions", "time s", "period ms"):
+        table.add_column(heading)
+    for (servo, mass, length), members in sorted(groups.items()):
+        load = "?" if mass == length == "?" else f"{mass} kg, {length} m"
+        table.add_row(servo, load, str(len(members)), *_group_cells(members))
+    console.print(table)
+    trajectories = sorted({one.rig.trajectory for one in recordings if one.rig.trajectory})
+    if trajectories:
+        console.print(f"Motions: {', '.join(trajectories)}", markup=False)
+
+
+def _group_cells(members: Sequence[Recording]) -> tuple[str, ...]:
+    gains = sorted({one.rig.firmware_gain for one in members if one.rig.firmware_gain is not None})
+    trajectories = {one.rig.trajectory for one in members if one.rig.trajectory}
+    periods = [summarise(_main_signal(one)).period_median for one in members]
+    low, high = f"{1e3 * min(periods):.2f}", f"{1e3 * max(periods):.2f}"
+    return (
+        " ".join(_number(gain) for gain in gains) or "-",
+        str(len(trajectories)) if trajectories else "-",
+        f"{sum(one.duration for one in members):.1f}",
+        low if low == high else f"{low}-{high}",
+    )
+
+
+def _main_signal(recording: Recording) -> Signal:
+    return recording.signals.get("position") or next(iter(recording.signals.values()))
+
+
+def _number(value: float | None) -> str:
+    return "?" if value is None else f"{value:.4g}"
+
+
+def _show_faults(console: Console, recordings: Sequence[Recording]) -> None:
+    counts: Counter[str] = Counter()
+    logs: dict[str, list[str]] = defaultdict(list)
+    example = {}
+    for recording in recordings:
+        for fault in recording.faults:
+            counts[fault.code] += fault.count
+            logs[fault.code].append(recording.name)
+            example[fault.code] = fault.message
+    console.print("[bold]Faults found and handled[/bold]" if counts else "[bold]No faults found[/bold]")
+    for code, count in sorted(counts.items()):
+        where = len(set(logs[code]))
+        more = f" (in {where} of {len(recordings)} recordings, {count} in all; one says:)" if where > 1 else ":"
+        console.print(f"  {code}{more} {example[code]}", markup=False)
+
+
+def _show_findings(console: Console, recordings: Sequence[Recording], found: Sequence[Finding]) -> None:
+    robots = sum(not is_bench(recording) for recording in recordings)
+    if robots:
+        console.print(f"{robots} of {len(recordings)} recordings are not of a single joint; no verdict on those")
+    if not found:
+        return
+    table = Table(title="What these logs can identify together", title_justify="left", title_style="bold")
+    for heading in ("parameter", "verdict", "why"):
+        table.add_column(heading)
+    for one in found:
+        table.add_row(one.parameter, f"[{COLOURS[one.verdict]}]{one.verdict}[/]", one.reason)
+    console.print(table)
+    for i, log in enumerate(next_logs(found)):
+        console.print(f"{'Record next:' if i == 0 else '        then:'} {log}", markup=False)
