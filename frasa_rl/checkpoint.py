@@ -6,6 +6,7 @@ checkpoints/000020000/state.npz   replay buffer, counters, random states
 
 import io
 import shutil
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -64,7 +65,7 @@ def load_checkpoint(model: CrossQ, run: Path) -> float:
         with np.load(newest / "state.npz", allow_pickle=False) as state:
             restore(model, state.__getitem__)
             return float(state["elapsed_s"])
-    except (OSError, ValueError, KeyError, RuntimeError) as error:
+    except (OSError, ValueError, KeyError, RuntimeError, zipfile.BadZipFile) as error:
         raise CheckpointError(f"cannot resume from {newest}: {' '.join(str(error).split())}") from error
 
 

@@ -82,11 +82,6 @@ class Policy:
         return Policy(tuple(_read_layers(path / WEIGHTS_FILE)), read_run(path / RUN_FILE))
 
 
-def hold(size: int = 5) -> Policy:
-    """The policy that does nothing: every command stays where it is."""
-    return Policy(((np.zeros((size, 1), dtype=np.float32), np.zeros(size, dtype=np.float32)),))
-
-
 def read_run(path: Path) -> dict[str, Any]:
     """The content of a run.yaml.
 
