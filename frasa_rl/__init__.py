@@ -6,8 +6,10 @@ calibrated.xml + randomization.yaml -> StandUp -> Policy
 package imports neither torch nor MuJoCo.
 """
 
+import ctypes
 import os
 import sys
+from contextlib import suppress
 from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
@@ -22,9 +24,12 @@ __all__ = ["Policy", "StandUp", "Task", "__version__"]
 
 _HOMES = {"StandUp": "frasa_rl.standup_env", "Policy": "frasa_rl.policy", "Task": "frasa_rl.config"}
 
-# MuJoCo chooses its OpenGL when it is imported; without a display only EGL draws.
-if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-    os.environ.setdefault("MUJOCO_GL", "egl")
+# MuJoCo chooses its OpenGL when it is imported: without a display only EGL draws, and
+# asking for EGL where there is none would break the import.
+if sys.platform == "linux" and not {"DISPLAY", "MUJOCO_GL"} & set(os.environ):
+    with suppress(OSError):
+        ctypes.CDLL("libEGL.so.1")
+        os.environ["MUJOCO_GL"] = "egl"
 
 if find_spec("gymnasium"):
     from gymnasium import register

@@ -13,12 +13,19 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from frasa_rl.policy import Array, Policy
 from frasa_rl.settings import Settings
+from frasa_sysid.calibration import UsageError
 
 _BUFFER_FIELDS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
 def build(settings: Settings, envs: VecEnv, device: str) -> CrossQ:
-    """A new learner; the seed is the settings'."""
+    """A new learner; the seed is the settings'.
+
+    Raises:
+        UsageError: `cuda` without a CUDA device.
+    """
+    if device == "cuda" and not torch.cuda.is_available():
+        raise UsageError("no CUDA device that torch can use: give --device cpu")
     torch.set_num_threads(settings.threads)
     steps, updates = settings.rounds
     return CrossQ(
@@ -106,6 +113,7 @@ def restore(model: CrossQ, kept: Callable[[str], np.ndarray[Any, Any]]) -> None:
         log_ent_coef.copy_(torch.as_tensor(kept("log_ent_coef")))
     fresh = int(np.random.SeedSequence([model.seed or 0, model.num_timesteps]).generate_state(1)[0] >> 1)
     random.seed(fresh)
+    torch.manual_seed(fresh)  # of CUDA, whose state is not kept
     model.action_space.seed(fresh)
     envs.seed(fresh)
     torch.set_rng_state(torch.as_tensor(kept("torch_random")))

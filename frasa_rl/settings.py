@@ -22,6 +22,7 @@ class Settings:
         actor, critic: widths of the hidden layers.
         renorm_warmup: batches after which batch renormalisation uses running statistics.
         threads: of torch on a processor; more than one stalls where cores are shared.
+        near_target_share: share of the starts near the standing pose, in place of the task's.
         checkpoint_steps: transitions between two checkpoints.
         seed: of everything.
     """
@@ -40,6 +41,7 @@ class Settings:
     critic: tuple[int, ...] = (128, 128)
     renorm_warmup: int = 10_000
     threads: int = 1
+    near_target_share: float = 0.10
     checkpoint_steps: int = 20_000
     seed: int = 0
 

@@ -101,8 +101,14 @@ class StandUp(gymnasium.Env[Observation, Action]):
 
         Args:
             action: joint rates as a share of the rate limit, clipped to [-1, 1], shape (5,).
+
+        Raises:
+            ValueError: another shape, or numbers that are not finite.
         """
-        previous, self._action = self._action, np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
+        wanted = np.asarray(action, dtype=np.float64)
+        if wanted.shape != self._action.shape or not np.isfinite(wanted).all():
+            raise ValueError(f"action {wanted}: expected {self._action.size} finite numbers")
+        previous, self._action = self._action, np.clip(wanted, -1.0, 1.0)
         self._steps += 1
         truncated = self._steps * self.task.control_period_s >= self.task.episode_s - 1e-9
         self._advance(self._action * self.task.rate_limit)

@@ -103,7 +103,7 @@ def train(plan: Plan, *, resume: bool = False) -> dict[str, Any]:
 
 def describe(plan: Plan) -> dict[str, Any]:
     """What run.yaml says: all that determines the run, in plain data."""
-    model, task = load_model(plan.model), Task()
+    model, task = load_model(plan.model), task_of(plan.settings)
     versions = {
         "frasa": __version__,
         "python": platform.python_version(),
@@ -130,6 +130,11 @@ def describe(plan: Plan) -> dict[str, Any]:
         }
     )
     return said
+
+
+def task_of(settings: Settings) -> Task:
+    """The task as a run trains it."""
+    return replace(Task(), near_target_share=settings.near_target_share)
 
 
 def plan_of(run: Path) -> Plan:
@@ -169,15 +174,15 @@ def model_hash(model: mujoco.MjModel) -> str:
 def make_envs(plan: Plan) -> VecEnv:
     """The environments of a run, each with its own model."""
     makers: list[Callable[[], gymnasium.Env[Any, Any]]] = [
-        partial(_make_env, plan.model, plan.parallel) for _ in range(plan.settings.envs)
+        partial(_make_env, plan.model, task_of(plan.settings), plan.parallel) for _ in range(plan.settings.envs)
     ]
     return VecMonitor(SubprocVecEnv(makers) if plan.parallel else DummyVecEnv(makers))
 
 
-def _make_env(model: Path, alone: bool) -> StandUp:
+def _make_env(model: Path, task: Task, alone: bool) -> StandUp:
     if alone:  # a process of its own: Ctrl-C is for the learner, which closes the environments when it is done
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return StandUp(model)
+    return StandUp(model, task)
 
 
 def _learn(model: CrossQ, plan: Plan, description: dict[str, Any], elapsed_s: float) -> dict[str, Any]:

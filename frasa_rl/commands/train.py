@@ -23,11 +23,11 @@ def add_command(commands: Subparsers) -> None:
     parser.add_argument("--steps", type=int, help="end after this many transitions")
     parser.add_argument("--seed", type=int, help="seed of everything (default 0)")
     parser.add_argument("--envs", type=int, help="environments stepped together")
-    parser.add_argument("--parallel", action="store_true", help="a process for every environment")
+    parser.add_argument("--parallel", action="store_true", default=None, help="a process for every environment")
     parser.add_argument("--threads", type=int, help="threads of torch (default 1: more stall on shared cores)")
     parser.add_argument("--out", type=Path, help="run folder (default runs/standup-<date>-<time>)")
-    parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
-    parser.add_argument("--preset", choices=sorted(PRESETS), default="quick", help="quick: two cores; paper: FRASA's")
+    parser.add_argument("--device", choices=("auto", "cpu", "cuda"), help="default auto: a GPU where there is one")
+    parser.add_argument("--preset", choices=sorted(PRESETS), help="quick (default): two cores; paper: FRASA's")
     parser.add_argument(
         "--resume", type=Path, metavar="RUN", help="continue a run folder; --minutes and --steps count from its start"
     )
@@ -36,13 +36,21 @@ def add_command(commands: Subparsers) -> None:
 
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
-    from frasa_rl.train import Plan, extended, plan_of, train  # torch is imported only where it is needed
+    try:
+        from frasa_rl.train import Plan, extended, plan_of, train  # torch is imported only where it is needed
+    except ModuleNotFoundError as error:
+        raise UsageError(f"training needs {error.name}: pip install 'frasa[train]'") from None
 
     if args.resume:
-        given = [name for name in ("model", "seed", "envs", "threads", "out") if getattr(args, name) is not None]
+        given = [
+            name
+            for name in ("model", "seed", "envs", "parallel", "threads", "preset", "out")
+            if getattr(args, name) is not None
+        ]
         if given:
             raise UsageError(f"--resume takes {', '.join('--' + one for one in given)} from the run itself")
         plan = extended(plan_of(args.resume), args.steps, args.minutes)
+        plan = replace(plan, device=args.device or plan.device)
     else:
         plan = Plan(
             model=args.model or Path("robot_model/calibrated.xml"),
@@ -50,8 +58,8 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
             settings=_settings(args),
             steps=args.steps,
             minutes=args.minutes,
-            device=args.device,
-            parallel=args.parallel,
+            device=args.device or "auto",
+            parallel=bool(args.parallel),
         )
     result = train(plan, resume=bool(args.resume))
     _tell(plan, result)
@@ -60,7 +68,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
 
 def _settings(args: argparse.Namespace) -> Settings:
     given = {name: getattr(args, name) for name in ("seed", "envs", "threads") if getattr(args, name) is not None}
-    return replace(PRESETS[args.preset], **given)
+    return replace(PRESETS[args.preset or "quick"], **given)
 
 
 def _tell(plan: "Plan", result: dict[str, Any]) -> None:

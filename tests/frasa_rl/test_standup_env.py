@@ -162,6 +162,14 @@ def test_a_diverged_simulation_ends_the_episode(plain_env, poison, monkeypatch, 
     assert not plain_env.step(STILL)[4]["diverged"]
 
 
+@pytest.mark.parametrize("action", [np.zeros(1), np.full(5, np.nan), np.zeros((5, 1))])
+def test_broken_actions_are_refused(plain_env, action):
+    """An action of another shape, or not finite, is a mistake and not a command."""
+    plain_env.reset(seed=0)
+    with pytest.raises(ValueError, match="5 finite numbers"):
+        plain_env.step(action)
+
+
 def test_missing_names_are_all_listed(nominal):
     """A model without the task's joints is refused with what is missing and what there is."""
     task = replace(Task(), joints=(*Task().joints, Joint("tail", 0.0), Joint("wing", 0.0)))
