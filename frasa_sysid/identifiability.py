@@ -15,6 +15,7 @@ from frasa_sysid.inspection import Motion
 from frasa_sysid.readers.faults import plural
 
 Verdict = Literal["yes", "weak", "no"]
+FINE = 0.0005  # rad; noise of a position that shows no steps
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ def _gain(motions: Sequence[Motion]) -> Finding:
         return Finding(name, "weak", "no known load: torques come out only in proportion to the armature", record)
     known = loaded or inertial
     error = max(one.error_p95 for one in known)
-    resolution = max(one.quantum for one in known)
+    resolution = max(FINE, *(one.quantum for one in known))
     if all(one.control == "position" for one in known) and error < 5 * resolution:
         reason = f"the error stays within {error:.4f} rad, {error / resolution:.1f} steps of the encoder"
         return Finding(name, "weak", reason, "a heavier load or a lower firmware gain")
@@ -143,7 +144,7 @@ def _delay(motions: Sequence[Motion]) -> Finding:
     best = max(driven, key=lambda one: one.goal_speed)
     reason = f"goals up to {best.goal_speed:.1f} rad/s, position every {1e3 * best.period:.1f} ms"
     record = "fast or stepping goals, position read at 100 Hz or more"
-    if best.goal_speed * 0.005 < 2 * best.quantum or best.period > 0.05:
+    if best.goal_speed * 0.005 < 2 * max(best.quantum, FINE) or best.period > 0.05:
         return Finding(name, "no", reason, record)
     if best.period > 0.02:
         return Finding(name, "weak", f"{reason}: slower than delays are", record)

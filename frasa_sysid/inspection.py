@@ -64,13 +64,15 @@ def summarise(signal: Signal) -> SignalSummary:
 def quantum(y: FloatArray) -> float | None:
     """The step of a reading, or None where the values lie on no grid.
 
-    On a grid all distances between neighbouring values are multiples of the smallest.
+    On a grid the distances between neighbouring values are multiples of the smallest,
+    but for a few odd samples (drivers that average after a missed read).
     """
     steps = np.diff(np.unique(y))
     steps = steps[steps > GRID]
     if steps.size < 5:
         return None
-    step = float(np.median(steps[steps < 1.5 * steps.min()]))
+    small = np.percentile(steps, 5)
+    step = float(np.median(steps[(steps > small / 1.5) & (steps < small * 1.5)]))
     multiples = steps / step
     on_grid = np.abs(multiples - np.round(multiples)) < 0.1
     return step if on_grid.mean() > 0.9 else None

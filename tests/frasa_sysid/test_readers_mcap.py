@@ -5,6 +5,7 @@ import zlib
 
 import numpy as np
 import pytest
+import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
@@ -246,7 +247,7 @@ def small_file(tmp_path_factory):
     return path.read_bytes(), raw_file(path.with_name("raw.mcap"), n=30, chunked=False).read_bytes()
 
 
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=500, deadline=None)
 @given(data=st.data())
 def test_any_damage_is_a_fault_or_an_error(small_file, tmp_path_factory, data):
     """Whatever is cut off or flipped, a log is read, perhaps with faults, or refused with LogError."""
@@ -352,6 +353,43 @@ def test_odd_channel_does_not_kill_the_rest(tmp_path, capfd):
     assert "/odd" in text
     assert "/short" in text
     assert capfd.readouterr().out == ""
+
+
+def test_messages_compressed_one_by_one(tmp_path):
+    """A bag whose messages are compressed one by one is refused with what to do about it."""
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema(KIND, "ros2msg", JOINT_STATE.encode())
+        channel = writer.register_channel("/joint_states", "cdr", schema)
+        writer.add_message(channel, EPOCH, zstandard.compress(b"message"), EPOCH)
+        writer.finish()
+    with pytest.raises(LogError, match="compression mode FILE"):
+        read_log(tmp_path / "a.mcap")
+
+
+def test_absurd_lengths_inside_a_message(tmp_path):
+    """A message that claims billions of joints is skipped, not believed."""
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema(KIND, "ros2msg", JOINT_STATE.encode())
+        channel = writer.register_channel("/joint_states", "cdr", schema)
+        head = b"\0\1\0\0" + struct.pack("<iI", 1, 0) + struct.pack("<I", 1) + b"\0" * 4
+        for claim in (2**31, 2**32 - 1):
+            writer.add_message(channel, EPOCH, head + struct.pack("<I", claim), EPOCH)
+            writer.add_message(channel, EPOCH, head + struct.pack("<IIII", 0, claim, 0, 0), EPOCH)
+        writer.finish()
+    with pytest.raises(LogError, match="4 of|cannot be decoded"):
+        read_log(tmp_path / "a.mcap")
+
+
+def test_simulated_time_begins_at_zero(tmp_path):
+    """A single stamp of zero, as simulated time begins, does not cost the header clock."""
+    contents = [joint_state(i * S // 100, [0.01 * i]) for i in range(20)]
+    recording = read_log(write_ros2(tmp_path / "a.mcap", states("/joint_states", contents)))[0]
+    assert recording.clock == "header"
+    assert codes(recording) == {"no_stamp": 1}
 
 
 def test_two_channels_of_one_topic(tmp_path):

@@ -1,0 +1,197 @@
+import argparse
+import gzip
+import json
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from frasa_sysid.calibration.command_line import run_command
+from frasa_sysid.commands import importing
+from frasa_sysid.errors import LogError
+from frasa_sysid.readers import read_log
+from frasa_sysid.readers.bam import read_bam
+from frasa_sysid.rig_table import read_rig_table
+
+
+def frasa(*words):
+    parser = argparse.ArgumentParser(prog="frasa-sysid")
+    importing.add_parser(parser.add_subparsers(required=True))
+    return run_command(parser, [str(word) for word in words])
+
+
+def bam(path, scale=1.0, **header):
+    entries = [
+        {
+            "position": scale * 0.01 * i,
+            "speed": 1.0,
+            "input_volts": 12.0,
+            "timestamp": 0.01 * i,
+            "goal_position": scale * 0.02 * i,
+            "torque_enable": True,
+        }
+        for i in range(50)
+    ]
+    entries[20]["position"] = -2047 * 2 * np.pi / 4096
+    facts = {"mass": 0.535, "length": 0.1, "kp": 4, "vin": 15.0, "motor": "sts3215", "offset": 0.0} | header
+    content = json.dumps(
+        {key: value for key, value in facts.items() if value is not None} | {"entries": entries}
+    ).encode()
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(gzip.compress(content) if path.suffix == ".gz" else content)
+    return path
+
+
+@pytest.fixture
+def table(tmp_path):
+    path = tmp_path / "rigs.csv"
+    path.write_text("\ufeffmass,length, total_inertia,total_g_bias\n0.535,0.100,0.0067,-0.54\n0.741,0.1,0.009,-0.74\n")
+    return path
+
+
+def test_import_keeps_everything(tmp_path, table):
+    """The MCAP holds the recording with its faults and facts, and the original byte for byte."""
+    source = bam(tmp_path / "in" / "a.json.gz")
+    assert frasa("import", source, "--format", "bam", "--out", tmp_path / "out", "--rig-table", table) == 0
+    out = tmp_path / "out" / "a.mcap"
+    read, direct = read_log(out)[0], read_bam(source)[0]
+    assert read.name == "a.mcap#00"
+    for name, signal in direct.signals.items():
+        np.testing.assert_array_equal(read.signal(name).y, signal.y)
+    assert read.faults == direct.faults
+    assert {fault.code for fault in read.faults} == {"failed_read", "voltage_contradicted"}
+    assert (read.rig.inertia, read.rig.gravity_torque, read.rig.mass) == (0.0067, 0.54, 0.535)
+    assert read.extra == {"offset": 0.0, "imported_from": "a.json.gz", "imported_sha256": direct.sha256}
+    with out.open("rb") as file:
+        attached = list(make_reader(file).iter_attachments())
+    assert [(one.name, one.data) for one in attached] == [("a.json.gz", source.read_bytes())]
+
+
+def test_same_source_same_bytes(tmp_path):
+    """Importing twice gives the same bytes and replaces what was there."""
+    source = bam(tmp_path / "a.json")
+    for _ in range(2):
+        assert frasa("import", source, "--format", "bam", "--out", tmp_path / "one") == 0
+    assert frasa("import", source, "--format", "bam", "--out", tmp_path / "two") == 0
+    assert (tmp_path / "one" / "a.mcap").read_bytes() == (tmp_path / "two" / "a.mcap").read_bytes()
+    assert len(list((tmp_path / "one").iterdir())) == 1
+
+
+def test_one_bad_source_costs_no_other(tmp_path, capsys):
+    """A bad source is named, the others are imported, the exit status is 3."""
+    bam(tmp_path / "in" / "a.json")
+    bam(tmp_path / "in" / "c.json")
+    (tmp_path / "in" / "b.json").write_text("{")
+    assert frasa("import", tmp_path / "in", "--format", "bam", "--out", tmp_path / "out", "--json") == 3
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a.mcap", "c.mcap"]
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "b.json is not JSON" in err
+    assert "1 of 3 sources" in err
+
+
+def test_files_directories_and_globs(tmp_path):
+    """A source is a file, a directory or a glob; each file counts once; names and JSON tell what was made."""
+    for name in ("a.json", "b.json.gz", "c.json"):
+        bam(tmp_path / "in" / name)
+    (tmp_path / "in" / "notes.csv").write_text("x")
+    folder = importing.find_sources([str(tmp_path / "in"), str(tmp_path / "in" / "a.json")], "bam")
+    assert [path.name for path in folder] == ["a.json", "c.json", "b.json.gz"] or len(folder) == 3
+    found = importing.find_sources([str(tmp_path / "in" / "*.json")], "bam")
+    assert [path.name for path in found] == ["a.json", "c.json"]
+    for nothing in ("none.json", "no*.json"):
+        with pytest.raises(LogError, match="does not exist"):
+            importing.find_sources([str(tmp_path / nothing)], "bam")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(LogError, match="holds no"):
+        importing.find_sources([str(tmp_path / "empty")], "bam")
+
+
+def test_json_on_standard_output(tmp_path, capsys):
+    """With --json one object stands on standard output, and nothing else."""
+    bam(tmp_path / "a.json")
+    assert frasa("import", tmp_path / "a.json", "--format", "bam", "--out", tmp_path, "--json") == 0
+    out, err = capsys.readouterr()
+    result = json.loads(out)
+    assert result["schema"] == "frasa.import/1"
+    assert result["imported"][0]["faults"] == {"failed_read": 1, "voltage_contradicted": 1}
+    assert "failed_read: 1 in 1 of 1 logs" in err
+
+
+def test_rig_table_must_know_the_rig(tmp_path, table, capsys):
+    """A run whose rig is not in the table is an error that names the run."""
+    bam(tmp_path / "a.json", mass=0.6)
+    bam(tmp_path / "b.json", mass=None)
+    arguments = ["--format", "bam", "--out", tmp_path / "out", "--rig-table", table]
+    assert frasa("import", tmp_path / "a.json", *arguments) == 3
+    assert "a.json" in (err := capsys.readouterr().err)
+    assert "no row for mass 0.6 kg and length 0.1 m" in err
+    assert frasa("import", tmp_path / "b.json", *arguments) == 3
+    assert "declares no mass and length" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        ("mass,length\n1,2\n", "no column total_inertia, total_g_bias"),
+        ("mass,length,total_inertia,total_g_bias\n1,2,x,4\n", "line 2 is not four numbers"),
+        ("mass,length,total_inertia,total_g_bias\n1,2,3,4\n", "total_g_bias <= 0"),
+        ("mass,length,total_inertia,total_g_bias\n1,2\n", "line 2 is not four numbers"),
+    ],
+)
+def test_bad_rig_table(tmp_path, content, complaint):
+    """A table that cannot be used is refused with its line."""
+    (tmp_path / "t.csv").write_text(content)
+    with pytest.raises(LogError, match=complaint):
+        read_rig_table(tmp_path / "t.csv")
+
+
+def test_servo_and_unit(tmp_path):
+    """--servo overrides the log, --unit deg converts, and MCAP itself can be brought to radians."""
+    source = bam(tmp_path / "in" / "a.json", scale=60)
+    out = tmp_path / "out"
+    assert frasa("import", source, "--format", "bam", "--out", out) == 3
+    assert frasa("import", source, "--format", "bam", "--out", out, "--unit", "rad", "--servo", "MX64") == 0
+    assert read_mcap_servo(out / "a.mcap", unit="rad") == ("mx64", pytest.approx(58.8))
+    again = tmp_path / "again"
+    assert frasa("import", out / "a.mcap", "--format", "mcap", "--out", again, "--unit", "deg") == 0
+    assert read_mcap_servo(again / "a.mcap") == ("mx64", pytest.approx(np.deg2rad(58.8)))
+    assert frasa("import", source, "--format", "dynaban", "--out", out, "--unit", "deg") == 2
+
+
+def read_mcap_servo(path, unit="auto"):
+    from frasa_sysid.readers import read_mcap
+
+    recording = read_mcap(path, unit=unit)[0]
+    return recording.rig.servo, recording.signal("goal").y[-1]
+
+
+def test_sources_that_would_collide(tmp_path):
+    """Two sources of one name, or a source that its import would replace, are refused before anything is written."""
+    a, b = bam(tmp_path / "one" / "a.json"), bam(tmp_path / "two" / "a.json.gz")
+    assert frasa("import", a, b, "--format", "bam", "--out", tmp_path / "out") == 2
+    assert frasa("import", a, "--format", "bam", "--out", tmp_path / "out") == 0
+    assert frasa("import", tmp_path / "out" / "a.mcap", "--format", "mcap", "--out", tmp_path / "out") == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "stem"), [("a.json.gz", "a"), ("a.b.json", "a.b"), ("a", "a"), (".gz", ".gz"), ("x.txt", "x")]
+)
+def test_stem(tmp_path, name, stem):
+    """Only the endings of a format go."""
+    assert importing.stem(tmp_path / name) == stem
+
+
+def test_real_bench_with_its_rig_table(tmp_path, shared_dir):
+    """The STS3215 bench finds every rig in its owners' table, read back from MCAP without a new fault."""
+    folder = shared_dir / "data" / "sts3215"
+    if not folder.is_dir():
+        pytest.skip("no STS3215 logs in the shared data")
+    table = folder / "bench_configs.csv"
+    sources = sorted(folder.glob("*.json.gz"))[::6]
+    assert frasa("import", *sources, "--format", "bam", "--out", tmp_path, "--rig-table", table) == 0
+    for source in sources:
+        recording = read_log(tmp_path / f"{importing.stem(source)}.mcap")[0]
+        assert recording.rig.inertia > 0.006
+        assert 0.5 < recording.rig.gravity_torque < 1.5
+        assert recording.faults == read_bam(source)[0].faults
