@@ -2,12 +2,13 @@
 
 import argparse
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from frasa_sysid.calibration.command_line import add_json_flag
@@ -45,7 +46,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         LogError: a log that cannot be read.
     """
     recordings = [recording for path in args.logs for recording in read_log(path, args.clock)]
-    found = findings(motions(recordings))
+    found = _by_servo(recordings)
     console = Console(stderr=True, highlight=False)
     if args.verbose or len(recordings) <= FEW:
         for recording in recordings:
@@ -54,12 +55,22 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         _show_groups(console, recordings)
     _show_faults(console, recordings)
     _show_findings(console, recordings, found)
+    by_servo = [(servo, one) for servo, several in found.items() for one in several]
     return {
         "schema": SCHEMA,
         "recordings": [_describe(recording) for recording in recordings],
-        "identifiable": [asdict(one) for one in found],
-        "next": next_logs(found),
+        "identifiable": [{"servo": servo, **asdict(one)} for servo, one in by_servo],
+        "next": [{"servo": servo, "record": log} for servo in found for log in next_logs(found[servo])],
     }
+
+
+def _by_servo(recordings: Sequence[Recording]) -> dict[str, list[Finding]]:
+    """Verdicts for each servo type: logs of one say nothing about another."""
+    groups: dict[str, list[Recording]] = defaultdict(list)
+    for recording in recordings:
+        groups[recording.rig.servo or "servo not named"].append(recording)
+    found = {servo: findings(motions(members)) for servo, members in sorted(groups.items())}
+    return {servo: several for servo, several in found.items() if several}
 
 
 def _describe(recording: Recording) -> dict[str, Any]:
@@ -80,11 +91,11 @@ def _describe(recording: Recording) -> dict[str, Any]:
 def _show_recording(console: Console, recording: Recording) -> None:
     facts = ", ".join(f"{name} {value}" for name, value in recording.rig.known().items())
     title = f"{recording.name}: {recording.duration:.2f} s, {recording.origin}, {recording.clock} clock\n{facts}"
-    table = Table(title=title, title_justify="left", title_style="bold")
+    table = Table(title=escape(title), title_justify="left", title_style="bold")
     for heading in ("signal", "unit", "samples", "period ms (p50/99/max)", "range", "quantum"):
         table.add_column(heading, justify="left" if heading in ("signal", "unit") else "right")
     for signal in recording.signals.values():
-        table.add_row(*_row(summarise(signal)))
+        table.add_row(*(escape(cell) for cell in _row(summarise(signal))))
     console.print(table)
 
 
@@ -107,7 +118,7 @@ def _show_groups(console: Console, recordings: Sequence[Recording]) -> None:
         table.add_column(heading)
     for (servo, mass, length), members in sorted(groups.items()):
         load = "?" if mass == length == "?" else f"{mass} kg, {length} m"
-        table.add_row(servo, load, str(len(members)), *_group_cells(members))
+        table.add_row(escape(servo), escape(load), str(len(members)), *_group_cells(members))
     console.print(table)
     trajectories = sorted({one.rig.trajectory for one in recordings if one.rig.trajectory})
     if trajectories:
@@ -151,17 +162,17 @@ def _show_faults(console: Console, recordings: Sequence[Recording]) -> None:
         console.print(f"  {code}{more} {example[code]}", markup=False)
 
 
-def _show_findings(console: Console, recordings: Sequence[Recording], found: Sequence[Finding]) -> None:
+def _show_findings(console: Console, recordings: Sequence[Recording], found: Mapping[str, list[Finding]]) -> None:
     robots = sum(not is_bench(recording) for recording in recordings)
     if robots:
         console.print(f"{robots} of {len(recordings)} recordings are not of a single joint; no verdict on those")
-    if not found:
-        return
-    table = Table(title="What these logs can identify together", title_justify="left", title_style="bold")
-    for heading in ("parameter", "verdict", "why"):
-        table.add_column(heading)
-    for one in found:
-        table.add_row(one.parameter, f"[{COLOURS[one.verdict]}]{one.verdict}[/]", one.reason)
-    console.print(table)
-    for i, log in enumerate(next_logs(found)):
-        console.print(f"{'Record next:' if i == 0 else '        then:'} {log}", markup=False)
+    for servo, several in found.items():
+        title = f"What these logs can identify together: {servo}"
+        table = Table(title=escape(title), title_justify="left", title_style="bold")
+        for heading in ("parameter", "verdict", "why"):
+            table.add_column(heading)
+        for one in several:
+            table.add_row(one.parameter, f"[{COLOURS[one.verdict]}]{one.verdict}[/]", escape(one.reason))
+        console.print(table)
+        for i, log in enumerate(next_logs(several)):
+            console.print(f"{'Record next:' if i == 0 else '        then:'} {log}", markup=False)

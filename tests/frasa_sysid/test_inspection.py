@@ -147,6 +147,17 @@ def test_many_logs_stay_compact(tmp_path, capsys):
     assert len(capsys.readouterr().err.splitlines()) > 80
 
 
+def test_each_servo_has_its_own_verdicts(tmp_path, capsys):
+    """Logs of one servo type say nothing about another."""
+    heavy = replace(RIG, servo="mx64", mass=1.0)
+    write_mcap(tmp_path / "a.mcap", [run_of(), run_of(rig=heavy)])
+    assert frasa("inspect", tmp_path / "a.mcap", "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    loads = {one["servo"]: one["verdict"] for one in result["identifiable"] if one["parameter"].startswith("load")}
+    assert loads == {"mx106": "no", "mx64": "no"}
+    assert {one["servo"] for one in result["next"]} == {"mx106", "mx64"}
+
+
 def test_robot_logs_get_no_bench_verdict(tmp_path, capsys):
     """A log of several joints is shown, and said to be outside the rules."""
     robot = Signal("position", "rad", T, np.zeros((600, 2)), ("a", "b"))

@@ -380,7 +380,7 @@ def test_absurd_lengths_inside_a_message(tmp_path):
             writer.add_message(channel, EPOCH, head + struct.pack("<I", claim), EPOCH)
             writer.add_message(channel, EPOCH, head + struct.pack("<IIII", 0, claim, 0, 0), EPOCH)
         writer.finish()
-    with pytest.raises(LogError, match="4 of|cannot be decoded"):
+    with pytest.raises(LogError, match="cannot be decoded"):
         read_log(tmp_path / "a.mcap")
 
 
