@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from mcap.records import Channel, Message, Metadata, Schema
+from mcap.records import Channel, Message, Schema
 from mcap_ros2.decoder import DecoderFactory
 
 from frasa_sysid import bench_record
@@ -99,7 +99,8 @@ def read_mcap(path: Path, clock: Clock | Literal["auto"] = "auto", unit: Unit = 
         raise LogError(f"{path}: {_nothing_found(collected)}")
     chosen = _choose_clock(path, collected, clock, faults)
     named = _name_signals(collected, chosen, faults)
-    runs = _bench_records(path, collected.report.metadata)
+    runs = _bench_records(path, collected.report)
+    faults += _outside_faults(runs, named, chosen)
     sha256 = sha256_of_file(path)
     recordings = []
     for run in runs:
@@ -242,13 +243,34 @@ def _rank(series: Series) -> tuple[bool, bool, int, str]:
 # Runs
 
 
-def _bench_records(path: Path, metadata: list[Metadata]) -> list[BenchRecord]:
-    records = [bench_record.from_fields(str(path), one.metadata) for one in metadata if one.name == bench_record.NAME]
+def _bench_records(path: Path, report: StreamReport) -> list[BenchRecord]:
+    found = [one.metadata for one in report.metadata if one.name == bench_record.NAME]
+    indexed = report.indexed_metadata.count(bench_record.NAME)
+    if indexed > len(found) and not report.summary_damaged:
+        raise LogError(
+            f"{path} is damaged: its index names {indexed} {bench_record.NAME} records, {len(found)} were found"
+        )
+    records = [bench_record.from_fields(str(path), one) for one in found]
     if not records:
         return [BenchRecord("", None, RigFacts(), "real", {}, {}, {}, ())]
     if len(records) > 1 and any(one.window is None for one in records):
         raise LogError(f"{path}: {len(records)} {bench_record.NAME} records, but not all have start_ns and end_ns")
     return records
+
+
+def _outside_faults(runs: Sequence[BenchRecord], named: Mapping[str, Series], clock: Clock) -> list[Fault]:
+    windows = [run.window for run in runs if run.window is not None]
+    if not windows:
+        return []
+    outside = 0
+    for series in named.values():
+        stamps = series.times(clock)
+        inside = np.zeros(stamps.size, dtype=bool)
+        for start, end in windows:
+            inside |= (stamps >= start) & (stamps <= end)
+        outside += int((~inside & (stamps > 0)).sum())
+    text = f"{known_faults.plural(outside, 'sample')} outside the time windows of all runs; left out"
+    return [Fault("outside_runs", outside, text)] if outside else []
 
 
 def _make_recording(

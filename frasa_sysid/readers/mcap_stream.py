@@ -20,7 +20,18 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, Message, Metadata, Schema, Statistics
+from mcap.records import (
+    Attachment,
+    Channel,
+    Chunk,
+    DataEnd,
+    Footer,
+    Message,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
 
 from frasa_sysid.errors import LogError
 
@@ -42,6 +53,7 @@ class StreamReport:
         attachments: attached files by name, kept only when asked for.
         messages: messages handed out.
         declared: number of messages according to the file's statistics.
+        indexed_metadata: names of metadata records according to the file's index.
         cut_at: byte at which the file ends too early, or None.
         strays: messages of channels that the file does not describe.
         summary_damaged: the index at the end does not match its checksum.
@@ -51,6 +63,7 @@ class StreamReport:
     attachments: dict[str, bytes] = field(default_factory=dict)
     messages: int = 0
     declared: int | None = None
+    indexed_metadata: list[str] = field(default_factory=list)
     cut_at: int | None = None
     strays: int = 0
     summary_damaged: bool = False
@@ -269,6 +282,8 @@ def _read_summary(path: Path, file: BinaryIO, size: int, report: StreamReport) -
             body = summary[offset + HEAD.size : offset + HEAD.size + length]
             if opcode == Opcode.STATISTICS:
                 report.declared = Statistics.read(_stream(body)).message_count
+            if opcode == Opcode.METADATA_INDEX:
+                report.indexed_metadata.append(MetadataIndex.read(_stream(body)).name)
             if opcode == Opcode.FOOTER:
                 footer = Footer.read(_stream(body))
                 crc = zlib.crc32(summary[: offset + HEAD.size + 16])

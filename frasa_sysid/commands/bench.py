@@ -1,0 +1,108 @@
+"""What the commands on bench logs share: reading with facts from the command line, and the simulator."""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from frasa_sysid.errors import UsageError
+from frasa_sysid.problem import servo_name, split, stated_servo
+from frasa_sysid.readers import read_log
+from frasa_sysid.recording import Recording
+from frasa_sysid.rig import BenchRun, runs_of
+from frasa_sysid.rollout import BenchSimulator
+from frasa_sysid.servo import Servo
+
+NOMINAL_MODEL = Path("robot_model/nominal.xml")
+BENCH_MODEL = Path("robot_model/bench_pendulum.xml")
+_FACTS = {"mass": "kg", "length": "m", "arm_mass": "kg", "firmware_gain": "P", "supply_voltage": "V"}
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Logs of one servo, ready to be simulated.
+
+    Attributes:
+        servo: the servo, with supply and gain at which kp is stated.
+        nominal: value of each field before any fit.
+        train, held_out: recordings.
+    """
+
+    servo: Servo
+    nominal: dict[str, float]
+    train: list[Recording]
+    held_out: list[Recording]
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """sha256 by source file name."""
+        return {one.source: one.sha256 for one in (*self.train, *self.held_out)}
+
+    @property
+    def origin(self) -> str:
+        """`real`, `simulated` or `mixed`."""
+        origins = {one.origin for one in (*self.train, *self.held_out)}
+        return origins.pop() if len(origins) == 1 else "mixed"
+
+    def simulator(self, model: Path, threads: int | None) -> BenchSimulator:
+        """A simulator of this servo's bench; use as a context manager."""
+        stated = self.servo.error_gain * self.servo.firmware_gain * self.servo.supply_voltage
+        return BenchSimulator(model, 1.0 / stated, threads)
+
+    def runs(self, simulator: BenchSimulator) -> tuple[list[BenchRun], list[BenchRun]]:
+        """Training and held-out runs on the simulator's grid."""
+        step = simulator.timestep
+        return runs_of(self.train, self.servo, step), runs_of(self.held_out, self.servo, step)
+
+
+def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
+    """Logs, servo, and facts of the rig that the logs do not carry."""
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="MCAP files, or folders of them")
+    parser.add_argument("--servo", help="servo type, when the logs do not say")
+    parser.add_argument("--model", type=Path, default=NOMINAL_MODEL, help="nominal robot model [%(default)s]")
+    parser.add_argument("--bench-model", type=Path, help="pendulum model [bench_pendulum.xml beside --model]")
+    parser.add_argument("--clock", choices=("auto", "header", "publish", "log"), default="auto", help="which stamps")
+    parser.add_argument("--threads", type=int, help="simulation threads [one per core]")
+    for name, unit in _FACTS.items():
+        help_text = f"[{unit}] for logs that do not carry it"
+        parser.add_argument(f"--{name.replace('_', '-')}", type=float, metavar=unit.upper(), help=help_text)
+
+
+def load_bench(args: argparse.Namespace, hold_out: str = "none") -> Bench:
+    """Read the logs of a command.
+
+    Raises:
+        LogError: an unreadable log, or one that lacks a signal or fact.
+        UsageError: no log in a folder, or a bad hold-out rule.
+    """
+    facts = {name: getattr(args, name) for name in _FACTS if getattr(args, name) is not None}
+    recordings = [
+        _completed(recording, facts) for path in _files(args.logs) for recording in read_log(path, args.clock)
+    ]
+    name = servo_name(recordings, args.servo)
+    servo, nominal = stated_servo(name, args.model)
+    train, held_out = split(recordings, hold_out)
+    return Bench(servo, nominal, train, held_out)
+
+
+def bench_model(args: argparse.Namespace) -> Path:
+    """The pendulum model of a command."""
+    given: Path | None = args.bench_model
+    return given or args.model.with_name(BENCH_MODEL.name)
+
+
+def _files(paths: Sequence[Path]) -> list[Path]:
+    found: list[Path] = []
+    for path in paths:
+        inside = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+        if not inside:
+            raise UsageError(f"no .mcap file in the folder {path}")
+        found += [one for one in inside if one not in found]
+    return found
+
+
+def _completed(recording: Recording, facts: dict[str, Any]) -> Recording:
+    """Facts from the command line fill gaps; what the log says itself has precedence."""
+    missing = {name: value for name, value in facts.items() if getattr(recording.rig, name) is None}
+    return replace(recording, rig=replace(recording.rig, **missing)) if missing else recording

@@ -1,0 +1,224 @@
+r"""What the logs say about each number: intervals, correlations, a verdict and what to record next.
+
+The Gauss-Newton sandwich, clustered by log (Huber 1967; Liang and Zeger 1986): with the
+Jacobian J_l of log l, weights W_l of the robust loss and gradients g_l = J_l^T W_l r_l,
+
+.. math::
+    A = \sum_l J_l^T W_l J_l, \quad B = \sum_l g_l g_l^T, \quad
+    \Sigma = \frac{L}{L - 1} A^{-1} B A^{-1}
+
+Samples of one log are anything but independent, so counting them one by one would make
+intervals several times too narrow. With few logs B cannot have full rank; then the spread of
+the residuals with one effective sample per `CORRELATION_TIME` is used where it is larger.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from frasa_sysid.cost import residuals, robust_weights
+from frasa_sysid.problem import FitProblem, FreeParameter
+from frasa_sysid.recording import FloatArray
+from frasa_sysid.rig import BenchRun
+from frasa_sysid.rollout import BenchSimulator
+
+CORRELATION_TIME = 0.25  # [s] over which residuals of one log are taken as one sample
+_STEP = 1e-3  # of the unit cube, for central differences
+_ON_BOUND = 1e-3  # of the unit cube
+_VAGUE = 0.25  # half-width of an interval, as a share of the bounds, that says next to nothing
+_RELATIVE = 0.5  # half-width relative to the value that still counts as identified
+_TOGETHER = 0.95  # correlation beyond which only a combination is known
+
+_RECORD = {
+    "kp": "heavier loads at the lowest gain, held still at the horizontal (up_and_down)",
+    "forcerange": "large fast steps at the highest gain, so that the duty saturates (sin_time_square to the end)",
+    "damping": "fast motion with the motor powered (sin_time_square)",
+    "damping_off": "a drop with the torque switched off (lift_and_drop)",
+    "frictionloss": "slow motion with reversals under a small load (up_and_down)",
+    "armature": "fast reversals with the smallest load (sin_time_square)",
+    "delay": "quick goal changes (sin_time_square or steps), sampled at 100 Hz or more",
+    "offset": "the arm moved to both sides of the vertical (sin_sin)",
+}
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What is known about one parameter.
+
+    Attributes:
+        name, unit: as in the problem.
+        value, nominal: fitted and before.
+        low, high: 95 % interval, inside the bounds.
+        verdict: `identified`, `only in combination with ...`, `not excited` or `on its bound`.
+        advice: which recording would help; empty when identified.
+    """
+
+    name: str
+    unit: str
+    value: float
+    nominal: float
+    low: float
+    high: float
+    verdict: str
+    advice: str
+
+    @property
+    def excited(self) -> bool:
+        """False where the logs say next to nothing."""
+        return not self.verdict.startswith("not excited")
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Estimates of all free parameters and how they move together.
+
+    Attributes:
+        estimates: n of them, in the order of the problem.
+        correlation: shape (n, n).
+        spread: smallest and largest value when each rig-and-gain group in turn is left out, (n, 2).
+    """
+
+    estimates: tuple[Estimate, ...]
+    correlation: FloatArray
+    spread: FloatArray
+
+
+def evidence(problem: FitProblem, simulator: BenchSimulator, values: FloatArray) -> Evidence:
+    """Intervals and verdicts at a fitted point.
+
+    Args:
+        problem: what was fitted; its training runs are the evidence.
+        simulator: simulates them, 2 n + 1 times.
+        values: fitted values, shape (n,).
+    """
+    x = problem.to_unit(values)
+    parts, jacobians = _linearise(problem, simulator, x)
+    A, gradients = _normal_equations(parts, jacobians)
+    covariance = _covariance(A, gradients, problem.train, parts, jacobians)
+    quantile = float(stats.t.ppf(0.975, max(len(problem.train) - 1, 1)))
+    half = quantile * np.sqrt(np.diag(covariance))
+    correlation = _correlation(covariance)
+    alone = quantile * np.sqrt(np.diag(covariance) / np.maximum(np.diag(np.linalg.pinv(A)) * np.diag(A), 1.0))
+    estimates = tuple(_estimate(problem, i, x, half[i], alone[i], correlation[i]) for i in range(len(problem.free)))
+    return Evidence(estimates, correlation, _leave_out_spread(problem, x, A, gradients))
+
+
+def _linearise(
+    problem: FitProblem, simulator: BenchSimulator, x: FloatArray
+) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Residuals of each training run and their Jacobians with respect to the unit cube, (T, n) each."""
+    low = np.maximum(x - _STEP, 0.0)
+    high = np.minimum(x + _STEP, 1.0)
+    points = [x]
+    for i in range(x.size):
+        points += [np.where(np.arange(x.size) == i, bound, x) for bound in (low, high)]
+    candidates = [problem.servo_values(problem.from_unit(point)) for point in points]
+    readings = simulator.simulate(problem.train, candidates)
+    columns = [
+        [(up - down) / (high[i] - low[i]) for down, up in zip(readings[1 + 2 * i], readings[2 + 2 * i], strict=True)]
+        for i in range(x.size)
+    ]
+    jacobians = [np.nan_to_num(np.column_stack([column[r] for column in columns])) for r in range(len(problem.train))]
+    return [np.nan_to_num(part) for part in residuals(problem.train, readings[0])], jacobians
+
+
+def _normal_equations(
+    parts: Sequence[FloatArray], jacobians: Sequence[FloatArray]
+) -> tuple[FloatArray, list[FloatArray]]:
+    """Curvature A (n, n) and the gradient of each run (n,), every run with equal weight."""
+    n = jacobians[0].shape[1]
+    A = np.zeros((n, n))
+    gradients = []
+    for part, jacobian in zip(parts, jacobians, strict=True):
+        weighted = jacobian * (robust_weights(part) / part.size)[:, None]
+        A += weighted.T @ jacobian
+        gradients.append(weighted.T @ part)
+    return A, gradients
+
+
+def _covariance(
+    A: FloatArray,
+    gradients: Sequence[FloatArray],
+    runs: Sequence[BenchRun],
+    parts: Sequence[FloatArray],
+    jacobians: Sequence[FloatArray],
+) -> FloatArray:
+    """Sandwich by log, or the spread of residuals with few effective samples where that is larger."""
+    inverse = np.linalg.pinv(A + 1e-12 * np.eye(len(A)), hermitian=True)
+    count = len(gradients)
+    centred = np.array(gradients) - np.mean(gradients, axis=0)
+    sandwich = inverse @ (centred.T @ centred) @ inverse * count / max(count - 1, 1)
+    spread = np.zeros_like(A)
+    for run, part, jacobian in zip(runs, parts, jacobians, strict=True):
+        samples = max(run.t[-1] / CORRELATION_TIME, 1.0)
+        weights = robust_weights(part)
+        slope = jacobian * weights[:, None]
+        spread += slope.T @ slope / part.size * float(np.mean(weights * part**2)) / samples
+    residual = inverse @ spread @ inverse
+    # Scale up each parameter's row and column to the larger variance; correlations come from the larger trace.
+    base = sandwich if np.trace(sandwich) >= np.trace(residual) else residual
+    ratio = np.sqrt(np.maximum(np.diag(sandwich), np.diag(residual)) / np.maximum(np.diag(base), 1e-300))
+    return np.asarray(base * np.outer(ratio, ratio))
+
+
+def _correlation(covariance: FloatArray) -> FloatArray:
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    correlation: FloatArray = np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)
+    np.fill_diagonal(correlation, 1.0)
+    return correlation
+
+
+def _estimate(
+    problem: FitProblem, i: int, x: FloatArray, half: float, alone: float, correlation: FloatArray
+) -> Estimate:
+    free = problem.free[i]
+    width = free.high - free.low
+    value = free.low + x[i] * width
+    verdict = _verdict(problem, i, x[i], half, alone, correlation)
+    return Estimate(
+        free.name,
+        free.unit,
+        value,
+        free.nominal,
+        max(free.low, value - half * width),
+        min(free.high, value + half * width),
+        verdict,
+        "" if verdict == "identified" else f"record {_RECORD[free.field]}",
+    )
+
+
+def _verdict(problem: FitProblem, i: int, x: float, half: float, alone: float, correlation: FloatArray) -> str:
+    free = problem.free[i]
+    others = np.abs(np.where(np.arange(correlation.size) == i, 0.0, correlation))
+    partner = problem.free[int(np.argmax(others))].name
+    vague = half > _VAGUE or _too_wide(free, x, half)
+    if vague and others.max() > _TOGETHER and alone < 0.5 * half:
+        return f"only in combination with {partner}"
+    if vague:
+        return "not excited"
+    if x < _ON_BOUND or x > 1.0 - _ON_BOUND:
+        return "on its bound"
+    return "identified"
+
+
+def _too_wide(free: FreeParameter, x: float, half: float) -> bool:
+    """Whether the interval is wide against the value itself; offsets and delays have no such scale."""
+    if free.field in ("offset", "delay", "damping_off"):
+        return False
+    value = free.low + x * (free.high - free.low)
+    return half * (free.high - free.low) > _RELATIVE * abs(value)
+
+
+def _leave_out_spread(problem: FitProblem, x: FloatArray, A: FloatArray, gradients: Sequence[FloatArray]) -> FloatArray:
+    """Range of one-step estimates when each group is left out (infinitesimal jackknife), shape (n, 2)."""
+    inverse = np.linalg.pinv(A + 1e-12 * np.eye(len(A)), hermitian=True)
+    total = np.sum(gradients, axis=0)
+    estimates = [x]
+    for group in sorted({run.group for run in problem.train}):
+        left = [g for run, g in zip(problem.train, gradients, strict=True) if run.group == group]
+        if len(left) < len(gradients):
+            estimates.append(x + inverse @ (np.sum(left, axis=0) - total / len(gradients) * len(left)))
+    values = np.array([problem.from_unit(estimate) for estimate in estimates])
+    return np.column_stack([values.min(axis=0), values.max(axis=0)])
