@@ -184,6 +184,26 @@ def test_flipped_byte_in_the_facts(tmp_path):
         read_log(tmp_path / "a.mcap")
 
 
+def test_no_flipped_bit_of_our_files_changes_the_data_unseen(small_file, tmp_path):
+    """Wherever one bit of a file of ours flips: the same recordings, or a fault, or an error."""
+    whole = bytearray(small_file[0])
+    path = tmp_path / "a.mcap"
+    path.write_bytes(whole)
+    reference = [contents(recording) for recording in read_log(path)]
+    for at in range(0, len(whole), 3):
+        damaged = whole.copy()
+        damaged[at] ^= 1 << (at % 8)
+        path.write_bytes(damaged)
+        with contextlib.suppress(LogError):
+            back = read_log(path)
+            assert [contents(one) for one in back] == reference or any(one.faults for one in back)
+
+
+def contents(recording):
+    signals = {name: (one.unit, one.t.tobytes(), one.y.tobytes()) for name, one in recording.signals.items()}
+    return recording.name, recording.rig, signals, recording.extra
+
+
 def test_damaged_index_is_not_needed(tmp_path):
     """Damage to the summary costs nothing: the data are read without it, and it is reported."""
     path = raw_file(tmp_path / "a.mcap")
@@ -561,6 +581,14 @@ def test_facts_that_cannot_be_used(tmp_path, fields, complaint):
     """A fact that cannot be understood is named, with the run it belongs to."""
     with pytest.raises(LogError, match=complaint):
         read_log(with_bench(tmp_path / "a.mcap", fields))
+
+
+def test_samples_outside_all_runs_are_counted(tmp_path):
+    """Samples that no run claims are left out, and counted."""
+    fields = {"start_ns": str(EPOCH), "end_ns": str(EPOCH + S // 10)}
+    recording = read_log(with_bench(tmp_path / "a.mcap", fields))[0]
+    assert recording.signal("position").t.size == 11
+    assert codes(recording) == {"outside_runs": 9}
 
 
 def test_lost_run_is_reported(tmp_path):
