@@ -28,6 +28,7 @@ def build(settings: Settings, envs: VecEnv, device: str) -> CrossQ:
         raise UsageError("no CUDA device that torch can use: give --device cpu")
     torch.set_num_threads(settings.threads)
     steps, updates = settings.rounds
+    exploration: dict[str, float] = {"log_std_init": settings.smooth_log_std} if settings.smooth else {}
     return CrossQ(
         "MlpPolicy",
         envs,
@@ -40,7 +41,13 @@ def build(settings: Settings, envs: VecEnv, device: str) -> CrossQ:
         gradient_steps=updates,
         n_steps=settings.n_step,
         policy_delay=settings.policy_delay,
+        ent_coef=f"auto_{settings.entropy}",
+        use_sde=settings.smooth,
+        use_sde_at_warmup=settings.smooth,
+        sde_sample_freq=settings.smooth_steps if settings.smooth else -1,
         policy_kwargs={
+            **exploration,
+            "clip_mean": 0.0,  # the plain policy has no limit before its hyperbolic tangent
             "net_arch": {"pi": list(settings.actor), "qf": list(settings.critic)},
             "renorm_warmup_steps": settings.renorm_warmup,
             # CrossQ's own first moment, and the optimizer's steps in one call: a fifth more updates a second.

@@ -67,8 +67,11 @@ def test_a_run_leaves_everything_behind(plan):
     assert list((plan.out / "tensorboard").iterdir())
 
 
-def test_the_plain_policy_acts_like_the_learner(trained):
+@pytest.mark.parametrize("smooth", [True, False])
+def test_the_plain_policy_acts_like_the_learner(plan, smooth):
     """Folding the normalisation into the layers changes no action by more than 1e-5."""
+    trained = replace(plan, settings=replace(TINY, smooth=smooth))
+    train(trained)
     model = learner(trained)
     load_checkpoint(model, trained.out)
     observations = model.replay_buffer.observations[: model.replay_buffer.pos].reshape(-1, 22)
