@@ -1,0 +1,42 @@
+# Everything on a machine with only Python 3.11+, pip and make:
+#   make demo    bench logs -> calibrated model -> trained agent -> demo/index.html
+#   make test    lint, types, import contracts, tests
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+DEMO_MINUTES ?= 3
+
+.PHONY: demo test check bench bench-logs setup clean
+
+setup: $(READY)
+
+# torch first and alone: everything else then accepts the build that is there.
+$(READY): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt torch
+	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[train,report,notebooks,dev]'
+	touch $@
+
+demo: $(READY)
+	$(BIN)/python -m frasa_rl.demo --minutes $(DEMO_MINUTES) --out demo
+
+check: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+test: check
+	$(BIN)/pytest -n 2 --dist loadfile
+
+bench: $(READY)
+	for file in tests/benchmarks/bench_*.py; do $(BIN)/python $$file || exit 1; done
+
+# The project's own logs, byte for byte (with the versions of constraints.txt).
+bench-logs: $(READY)
+	$(BIN)/frasa-sysid simulate --servo mx106 --out bench_logs/mx106.mcap
+	$(BIN)/frasa-sysid simulate --servo mx64 --out bench_logs/mx64.mcap
+
+clean:
+	rm -rf demo runs .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
