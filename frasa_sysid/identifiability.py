@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from frasa_sysid.inspection import Motion
-from frasa_sysid.readers.faults import plural
+from frasa_sysid.readers.sampling import plural
 
 Verdict = Literal["yes", "weak", "no"]
 FINE = 0.0005  # rad; noise of a position that shows no steps

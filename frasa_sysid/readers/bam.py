@@ -16,6 +16,7 @@ from frasa_sysid.calibration.files import sha256_of_file
 from frasa_sysid.errors import LogError
 from frasa_sysid.readers import faults as known_faults
 from frasa_sysid.readers.mcap import Unit
+from frasa_sysid.readers.sampling import make_signal
 from frasa_sysid.readers.sources import read_bytes
 from frasa_sysid.recording import UNITS, Fault, FloatArray, Recording, RigFacts, Signal
 
@@ -61,7 +62,7 @@ def read_bam(path: Path, unit: Unit = "auto") -> list[Recording]:
         y = _column(path, log["entries"], key)
         if unit == "deg" and key in ANGLES:
             y = np.deg2rad(y)
-        signal, faults = known_faults.make_signal(name, signal_unit, times, y)
+        signal, faults = make_signal(name, signal_unit, times, y)
         found += faults
         if signal is not None:
             signals[name] = signal

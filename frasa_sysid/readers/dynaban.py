@@ -14,6 +14,7 @@ import numpy as np
 from frasa_sysid.calibration.files import sha256_of_file
 from frasa_sysid.errors import LogError
 from frasa_sysid.readers import faults as known_faults
+from frasa_sysid.readers.sampling import make_signal, plural
 from frasa_sysid.readers.sources import read_bytes
 from frasa_sysid.recording import Fault, FloatArray, Recording, RigFacts, Signal
 
@@ -89,7 +90,7 @@ def _recording(path: Path, index: int, test: Test, sha256: str) -> Recording:
     name = f"{path.name}#{index:03d}"
     position, wraps = known_faults.unwrap(steps, STEPS_PER_TURN)
     if wraps:
-        text = f"position: {known_faults.plural(wraps, 'wrap')} of the encoder; unwrapped"
+        text = f"position: {plural(wraps, 'wrap')} of the encoder; unwrapped"
         found.append(Fault("encoder_wrap", wraps, text))
     found.append(Fault("first_sample", 1, "velocity: the first sample of a test is its command; dropped"))
     columns: list[tuple[str, str, FloatArray, FloatArray]] = [
@@ -98,7 +99,7 @@ def _recording(path: Path, index: int, test: Test, sha256: str) -> Recording:
         ("velocity", "rad/s", t[1:], speed[1:] * STEP),
     ]
     for signal_name, unit, times, values in columns:
-        signal, faults = known_faults.make_signal(signal_name, unit, times, values)
+        signal, faults = make_signal(signal_name, unit, times, values)
         found += faults
         if signal is not None:
             signals[signal_name] = signal

@@ -7,74 +7,26 @@ stamp if every signal has one, else the publish time, else the log time.
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from mcap.records import Channel, Message, Schema
-from mcap_ros2.decoder import DecoderFactory
 
 from frasa_sysid import bench_record
 from frasa_sysid.bench_record import BenchRecord
 from frasa_sysid.calibration.files import sha256_of_file
 from frasa_sysid.errors import LogError
 from frasa_sysid.readers import faults as known_faults
-from frasa_sysid.readers.decoders import Decode, Reading, decoder_for
-from frasa_sysid.readers.mcap_stream import StreamReport, read_messages
+from frasa_sysid.readers.mcap_series import CLOCKS, Collected, Series, collect, file_faults, nothing_found
+from frasa_sysid.readers.mcap_stream import StreamReport
+from frasa_sysid.readers.sampling import make_signal, plural
 from frasa_sysid.readers.sources import check_source
 from frasa_sysid.recording import UNITS, Clock, Fault, Recording, RigFacts, Signal
 
 Unit = Literal["auto", "rad", "deg"]
-Stamps = npt.NDArray[np.uint64]
-CLOCKS: tuple[Clock, ...] = ("header", "publish", "log")
-MISSING_STAMPS = 0.01  # share (and one: simulated time begins at 0) that a stamped channel may lack
-FROM_DEGREES = {"deg": "rad", "deg/s": "rad/s"}
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 MAIN_TOPICS = ("/joint_states", "/joint_command", "/imu/data")
-
-
-@dataclass
-class Series:
-    """The readings of one quantity on one topic, in file order; stamps [ns], 0 where there is none."""
-
-    topic: str
-    name: str
-    unit: str | None
-    stamps: dict[Clock, list[int]] = field(default_factory=lambda: {clock: [] for clock in CLOCKS})
-    columns: list[tuple[str, ...]] = field(default_factory=list)
-    values: list[Sequence[float]] = field(default_factory=list)
-    _times: dict[Clock, Stamps] = field(default_factory=dict)
-
-    def add(self, reading: Reading, stamp: int | None, message: Message) -> None:
-        """Append one reading."""
-        values = [float(value) for value in reading.values]  # may fail: before anything is kept
-        for clock, time in zip(CLOCKS, (stamp or 0, message.publish_time, message.log_time), strict=True):
-            self.stamps[clock].append(max(time, 0))
-        self.columns.append(reading.columns)
-        self.values.append(values)
-
-    def has(self, clock: Clock) -> bool:
-        """Whether (nearly) all readings carry that clock's stamp."""
-        lacking = int((self.times(clock) == 0).sum())
-        return lacking <= max(1, MISSING_STAMPS * len(self.values)) and lacking < len(self.values)
-
-    def times(self, clock: Clock) -> Stamps:
-        """All stamps of one clock [ns], shape (T,); made once, for many runs ask."""
-        if clock not in self._times:
-            self._times[clock] = np.array(self.stamps[clock], dtype=np.uint64)
-        return self._times[clock]
-
-
-@dataclass
-class Collected:
-    """Everything of use in one file."""
-
-    series: dict[tuple[str, str], Series] = field(default_factory=dict)
-    report: StreamReport = field(default_factory=StreamReport)
-    skipped: Counter[str] = field(default_factory=Counter)
-    unused: set[str] = field(default_factory=set)
 
 
 def read_mcap(path: Path, clock: Clock | Literal["auto"] = "auto", unit: Unit = "auto") -> list[Recording]:
@@ -93,10 +45,10 @@ def read_mcap(path: Path, clock: Clock | Literal["auto"] = "auto", unit: Unit = 
         LogError: no such file, no MCAP, damaged, or nothing in it that frasa can use.
     """
     check_source(path)
-    collected = _collect(path)
-    faults = _file_faults(path, collected)
+    collected = collect(path)
+    faults = file_faults(collected)
     if not collected.series:
-        raise LogError(f"{path}: {_nothing_found(collected)}")
+        raise LogError(f"{path}: {nothing_found(collected)}")
     chosen = _choose_clock(path, collected, clock, faults)
     named = _name_signals(collected, chosen, faults)
     runs = _bench_records(path, collected.report)
@@ -114,77 +66,6 @@ def read_mcap(path: Path, clock: Clock | Literal["auto"] = "auto", unit: Unit = 
         faults.append(Fault("lost_run", lost, f"{lost} of {len(runs)} runs have no sample left"))
     recordings[-1] = replace(recordings[-1], faults=(*recordings[-1].faults, *faults))
     return recordings
-
-
-# Reading the stream
-
-
-def _collect(path: Path) -> Collected:
-    collected = Collected()
-    ros2 = DecoderFactory()
-    decoders: dict[int, Decode | None] = {}
-    for channel, schema, message in read_messages(path, collected.report):
-        if channel.id not in decoders:
-            decoders[channel.id] = _find_decoder(channel, schema, ros2, collected)
-        decode = decoders[channel.id]
-        if decode is not None:
-            _decode_into(collected, channel, decode, message)
-    return collected
-
-
-def _find_decoder(channel: Channel, schema: Schema | None, ros2: DecoderFactory, collected: Collected) -> Decode | None:
-    kind = schema.name if schema else "no schema"
-    try:
-        decode = decoder_for(channel, schema, ros2)
-    except Exception:  # the parser runs on a definition from the file: anything may come out
-        collected.skipped[f"{channel.topic} ({kind}: its definition cannot be parsed)"] += 1
-        return None
-    if decode is None:
-        collected.unused.add(f"{channel.topic} ({kind}, {channel.message_encoding or 'no encoding'})")
-    return decode
-
-
-def _decode_into(collected: Collected, channel: Channel, decode: Decode, message: Message) -> None:
-    try:
-        decoded = decode(message.data)
-        for reading in decoded.readings:
-            key = (channel.topic, reading.name)
-            if key not in collected.series:
-                collected.series[key] = Series(channel.topic, reading.name, reading.unit)
-            collected.series[key].add(reading, decoded.stamp, message)
-    except Exception:  # generated from the file's own definition: anything may come out
-        packed = message.data.startswith(ZSTD_MAGIC)
-        why = "compressed one by one, convert the bag with compression mode FILE" if packed else "cannot be decoded"
-        collected.skipped[f"{channel.topic} (messages: {why})"] += 1
-
-
-def _nothing_found(collected: Collected) -> str:
-    if collected.report.messages == 0:
-        cut = collected.report.cut_at
-        return "it holds no messages" if cut is None else f"it is cut off at byte {cut}, before its first message"
-    seen = ", ".join(sorted([*collected.skipped, *collected.unused])) or "only empty messages"
-    return f"nothing that frasa can read; expected JointState, DynamicJointState or Imu, found {seen}"
-
-
-def _file_faults(path: Path, collected: Collected) -> list[Fault]:
-    report = collected.report
-    faults = [
-        Fault("channel_skipped", count, f"{count} of {what}; skipped")
-        for what, count in sorted(collected.skipped.items())
-    ]
-    if report.cut_at is not None:
-        text = f"the file is cut off after byte {report.cut_at}; {report.messages} messages were recovered"
-        faults.append(Fault("truncated", report.messages, text))
-    if report.strays:
-        text = f"{report.strays} messages belong to channels that the file does not describe; dropped"
-        faults.append(Fault("unknown_channel", report.strays, text))
-    if report.summary_damaged:
-        text = "the index at the end does not match its checksum; it was not used, the data are whole"
-        faults.append(Fault("summary_damaged", 1, text))
-    elif report.declared not in (None, report.messages + report.strays):
-        text = f"the file's statistics declare {report.declared} messages, it holds {report.messages + report.strays}"
-        faults.append(Fault("lost_messages", abs((report.declared or 0) - report.messages), text))
-    return faults
 
 
 # Clock and names
@@ -269,7 +150,7 @@ def _outside_faults(runs: Sequence[BenchRecord], named: Mapping[str, Series], cl
         for start, end in windows:
             inside |= (stamps >= start) & (stamps <= end)
         outside += int((~inside & (stamps > 0)).sum())
-    text = f"{known_faults.plural(outside, 'sample')} outside the time windows of all runs; left out"
+    text = f"{plural(outside, 'sample')} outside the time windows of all runs; left out"
     return [Fault("outside_runs", outside, text)] if outside else []
 
 
@@ -326,7 +207,7 @@ def _make_signal(
     # Subtracted as whole nanoseconds: a float cannot hold an epoch time to the nanosecond.
     t = (stamps[kept] - np.uint64(window[0])).astype(np.float64) / 1e9
     unit = series.unit if series.unit not in (None, "raw") else units.get(name, UNITS.get(name, "raw"))
-    signal, faults = known_faults.make_signal(name, unit or "raw", t, y, columns)
+    signal, faults = make_signal(name, unit or "raw", t, y, columns)
     found += faults
     return signal
 

@@ -7,7 +7,6 @@ there, every checksum that the file holds is compared, and a file that ends earl
 what it has. Records and chunks are parsed by the `mcap` library.
 """
 
-import io
 import struct
 import zlib
 from collections.abc import Iterator
@@ -15,15 +14,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
-import lz4.frame  # type: ignore[import-untyped]
-import zstandard
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
     Channel,
-    Chunk,
     DataEnd,
     Footer,
     Message,
@@ -34,14 +28,10 @@ from mcap.records import (
 )
 
 from frasa_sysid.errors import LogError
+from frasa_sysid.readers.mcap_chunks import HEAD, PARSE_ERRORS, Frame, chunk_records, parse, stream_of
 
 MAGIC = b"\x89MCAP0\r\n"
-HEAD = struct.Struct("<BQ")
-MESSAGE_HEAD = struct.Struct("<HIQQ")
-COMPRESSIONS = ("", "lz4", "zstd")
 RECORD_LIMIT = 2**30  # bytes; a bench log's largest record is a few MB
-CHUNK_LIMIT = 2**28  # bytes after decompression; recorders write chunks of 1 to 16 MB
-PARSE_ERRORS = (McapError, struct.error, ValueError, OverflowError, zstandard.ZstdError, RuntimeError, EOFError)
 
 
 @dataclass
@@ -67,16 +57,6 @@ class StreamReport:
     cut_at: int | None = None
     strays: int = 0
     summary_damaged: bool = False
-
-
-@dataclass(frozen=True)
-class Frame:
-    """One record as it stands in the file; `whole` is False when the file ends inside it."""
-
-    offset: int
-    opcode: int
-    body: bytes
-    whole: bool = True
 
 
 def read_messages(
@@ -121,7 +101,7 @@ def _records(
     for frame in _frames(path, file, size, report):
         try:
             if frame.opcode == Opcode.CHUNK:
-                yield from _chunk_records(path, frame)
+                yield from chunk_records(path, frame)
             elif not frame.whole:
                 return
             elif frame.opcode == Opcode.DATA_END:
@@ -129,9 +109,9 @@ def _records(
                 _read_summary(path, file, size, report)
                 return
             elif frame.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
-                yield _parse(frame)
+                yield parse(frame)
             elif frame.opcode == Opcode.METADATA:
-                report.metadata.append(Metadata.read(_stream(frame.body)))
+                report.metadata.append(Metadata.read(stream_of(frame.body)))
             elif frame.opcode == Opcode.ATTACHMENT:
                 _take_attachment(path, frame, report if keep_attachments else None)
         except PARSE_ERRORS as error:
@@ -174,88 +154,8 @@ def _ends_with_magic(file: BinaryIO, size: int) -> bool:
     return end == MAGIC
 
 
-def _stream(body: bytes) -> ReadDataStream:
-    return ReadDataStream(io.BytesIO(body))
-
-
-def _parse(frame: Frame) -> Schema | Channel | Message:
-    record: Schema | Channel | Message
-    if frame.opcode == Opcode.SCHEMA:
-        record = Schema.read(_stream(frame.body))
-    elif frame.opcode == Opcode.CHANNEL:
-        record = Channel.read(_stream(frame.body))
-    else:
-        channel, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(frame.body)
-        record = Message(channel, log_time, frame.body[MESSAGE_HEAD.size :], publish_time, sequence)
-    return record
-
-
-def _chunk_records(path: Path, frame: Frame) -> Iterator[Schema | Channel | Message]:
-    if not frame.whole and len(frame.body) < 40:
-        return
-    chunk = Chunk.read(_stream(frame.body))
-    if chunk.compression not in COMPRESSIONS:
-        known = ", ".join(repr(one) for one in COMPRESSIONS)
-        raise LogError(
-            f"{path}: the chunk at byte {frame.offset} is compressed with '{chunk.compression}', known are {known}"
-        )
-    if chunk.uncompressed_size > CHUNK_LIMIT:
-        raise LogError(
-            f"{path}: the chunk at byte {frame.offset} claims {chunk.uncompressed_size} bytes, "
-            f"the limit is {CHUNK_LIMIT}"
-        )
-    data = _unpack(chunk) if frame.whole else _unpack_start(chunk)
-    if frame.whole and chunk.uncompressed_crc not in (0, zlib.crc32(data)):
-        raise ValueError("the chunk does not match its checksum (CRC)")
-    yield from _inner_records(data, frame.whole)
-
-
-def _inner_records(data: bytes, whole: bool) -> Iterator[Schema | Channel | Message]:
-    offset = 0
-    while offset < len(data):
-        end_of_head = offset + HEAD.size
-        if end_of_head <= len(data):
-            opcode, length = HEAD.unpack_from(data, offset)
-        if end_of_head > len(data) or length > len(data) - end_of_head:
-            if whole:
-                raise ValueError("a record inside the chunk is longer than the chunk")
-            return
-        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
-            yield _parse(Frame(offset, opcode, data[end_of_head : end_of_head + length]))
-        offset = end_of_head + length
-
-
-def _unpack(chunk: Chunk) -> bytes:
-    if chunk.compression == "":
-        return chunk.data
-    if chunk.compression == "lz4":
-        data: bytes = lz4.frame.decompress(chunk.data)
-    else:
-        # The frame's own claim decides how much memory is taken: look at it first.
-        if zstandard.frame_content_size(chunk.data) > CHUNK_LIMIT:
-            raise ValueError("the compressed frame claims an absurd size")
-        data = zstandard.decompress(chunk.data, max_output_size=chunk.uncompressed_size)
-    if len(data) != chunk.uncompressed_size:
-        raise ValueError(f"the chunk unpacks to {len(data)} bytes, it claims {chunk.uncompressed_size}")
-    return data
-
-
-def _unpack_start(chunk: Chunk) -> bytes:
-    """What the first bytes of a cut-off chunk unpack to; its checksum cannot be compared."""
-    if chunk.compression == "":
-        return chunk.data
-    try:
-        if chunk.compression == "lz4":
-            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=CHUNK_LIMIT))
-        if len(chunk.data) < 18 or zstandard.frame_content_size(chunk.data) > CHUNK_LIMIT:
-            return b""
-        return zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data)
-    except PARSE_ERRORS:
-        return b""
-
-
 def _check_data(path: Path, frame: Frame, crc: int) -> None:
-    expected = DataEnd.read(_stream(frame.body)).data_section_crc
+    expected = DataEnd.read(stream_of(frame.body)).data_section_crc
     if expected not in (0, crc):
         raise LogError(f"{path} is damaged: its data do not match their checksum (CRC)")
 
@@ -265,7 +165,7 @@ def _take_attachment(path: Path, frame: Frame, report: StreamReport | None) -> N
     if expected not in (0, zlib.crc32(frame.body[:-4])):
         raise LogError(f"{path} is damaged: the attachment at byte {frame.offset} does not match its checksum (CRC)")
     if report is not None:
-        attachment = Attachment.read(_stream(frame.body))
+        attachment = Attachment.read(stream_of(frame.body))
         report.attachments[attachment.name] = attachment.data
 
 
@@ -281,11 +181,11 @@ def _read_summary(path: Path, file: BinaryIO, size: int, report: StreamReport) -
             opcode, length = HEAD.unpack_from(summary, offset)
             body = summary[offset + HEAD.size : offset + HEAD.size + length]
             if opcode == Opcode.STATISTICS:
-                report.declared = Statistics.read(_stream(body)).message_count
+                report.declared = Statistics.read(stream_of(body)).message_count
             if opcode == Opcode.METADATA_INDEX:
-                report.indexed_metadata.append(MetadataIndex.read(_stream(body)).name)
+                report.indexed_metadata.append(MetadataIndex.read(stream_of(body)).name)
             if opcode == Opcode.FOOTER:
-                footer = Footer.read(_stream(body))
+                footer = Footer.read(stream_of(body))
                 crc = zlib.crc32(summary[: offset + HEAD.size + 16])
                 report.summary_damaged = footer.summary_crc not in (0, crc)
                 return

@@ -5,7 +5,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from frasa_sysid.errors import LogError
-from frasa_sysid.readers.faults import FAILED_READS, check_radians, clean, failed_reads, make_signal, unwrap
+from frasa_sysid.readers.faults import FAILED_READS, check_radians, clean, failed_reads, unwrap
+from frasa_sysid.readers.sampling import make_signal
 from frasa_sysid.recording import RigFacts, Signal
 
 T = np.arange(300) * 0.01
