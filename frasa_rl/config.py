@@ -89,6 +89,8 @@ class Task:
         end_pitch_deg, end_gyro: an episode ends beyond these [deg], [rad/s].
         near_target_share: share of the starts that are near the standing pose (p_s of the paper).
         near_target_spread: half-width of the joint offsets of such a start [rad].
+        falling_share: share of the starts somewhere between the standing pose and a random one, still falling.
+        falling_s: how long such a robot has been falling [s]; longer than any delay.
         start_pitch_deg: half-width of the trunk pitch of all other starts [deg].
         release_height: gap between the lowest point and the floor at release [m].
         settle_max_s: longest time a fall may take to come to rest [s].
@@ -112,6 +114,8 @@ class Task:
     end_gyro: float = 5.0
     near_target_share: float = 0.10
     near_target_spread: float = 0.10
+    falling_share: float = 0.0
+    falling_s: float = 0.10
     start_pitch_deg: float = 90.0
     release_height: float = 0.01
     settle_max_s: float = 2.0

@@ -1,7 +1,7 @@
-"""Where an episode starts: a robot that fell and came to rest, or one that is nearly standing.
+"""Where an episode starts: a robot that fell and came to rest, one that is nearly standing, or one that still falls.
 
-Every start is settled under the model of its own episode, so the first observation
-is of a robot at rest and every delay buffer holds what really happened.
+Every start is simulated under the model of its own episode, so every
+delay buffer holds what really happened.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from frasa_rl.config import Task
 from frasa_rl.robot import Floats, Robot, pitch_of
 from frasa_sysid.calibration import ModelError
 
-Kind = Literal["any", "prone", "supine", "target"]
+Kind = Literal["any", "random", "prone", "supine", "target", "falling"]
 
 _LYING_DEG = 45.0  # a robot on its front or back has at least this pitch, whatever props it up
 _ATTEMPTS = 50
@@ -28,34 +28,57 @@ class Start:
     Attributes:
         joints: commands of the moved joints, seen from the left [rad], shape (n,).
         pitch: trunk pitch [rad].
+        settle_s: longest time before the episode starts [s].
     """
 
     joints: Floats
     pitch: float
+    settle_s: float
 
 
 def draw_start(robot: Robot, task: Task, rng: Generator, kind: Kind = "any") -> Start:
-    """A random start: joints uniform inside the command limits, pitch as the kind asks.
+    """A random start.
 
-    `any` is what training uses: a share of starts near the standing pose, any pitch otherwise.
+    `any` is what training uses: a share near the standing pose, a share still falling, the rest `random`.
     """
     if kind == "any":
-        near = rng.random() < task.near_target_share
-        kind = "target" if near else "any"
+        chance = rng.random() - np.cumsum([task.near_target_share, task.falling_share])
+        kind = "target" if chance[0] < 0.0 else "falling" if chance[1] < 0.0 else "random"
     if kind == "target":
-        pose = np.radians([one.target_deg for one in task.joints])
-        pose = pose + rng.uniform(-task.near_target_spread, task.near_target_spread, len(pose))
-        return Start(np.clip(pose, *robot.limits.T), float(np.radians(task.target_pitch_deg)))
-    lowest = {"any": -task.start_pitch_deg, "prone": 60.0, "supine": -90.0}[kind]
-    highest = {"any": task.start_pitch_deg, "prone": 90.0, "supine": -60.0}[kind]
+        return _near_target(robot, task, rng)
+    return _falling(robot, task, rng) if kind == "falling" else _random(robot, task, rng, kind)
+
+
+def _near_target(robot: Robot, task: Task, rng: Generator) -> Start:
+    """The standing pose with a small offset on every joint."""
+    offsets = rng.uniform(-task.near_target_spread, task.near_target_spread, len(task.joints))
+    pose, pitch = _standing(task)
+    return Start(np.clip(pose + offsets, robot.limits[:, 0], robot.limits[:, 1]), pitch, task.settle_max_s)
+
+
+def _falling(robot: Robot, task: Task, rng: Generator) -> Start:
+    """Anywhere between the standing pose and a random start, released and caught in mid-fall."""
+    (pose, pitch), other, share = _standing(task), _random(robot, task, rng, "random"), rng.random()
+    return Start(pose + share * (other.joints - pose), pitch + share * (other.pitch - pitch), task.falling_s)
+
+
+def _random(robot: Robot, task: Task, rng: Generator, kind: Kind) -> Start:
+    """Joints uniform inside the command limits, pitch as the kind asks."""
+    half = task.start_pitch_deg
+    pitch = rng.uniform(*{"prone": (60.0, 90.0), "supine": (-90.0, -60.0)}.get(kind, (-half, half)))
     joints: Floats = rng.uniform(robot.limits[:, 0], robot.limits[:, 1])
-    return Start(joints, float(np.radians(rng.uniform(lowest, highest))))
+    return Start(joints, float(np.radians(pitch)), task.settle_max_s)
+
+
+def _standing(task: Task) -> tuple[Floats, float]:
+    """Joints (n,) and pitch of the standing pose [rad]."""
+    return np.radians([one.target_deg for one in task.joints]), float(np.radians(task.target_pitch_deg))
 
 
 def settle_start(
     model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, task: Task, rng: Generator, kind: Kind = "any"
 ) -> None:
-    """Put the robot into a start of that kind, at rest, and leave `data` after `mj_forward`.
+    """Put the robot into a start of that kind and leave `data` after `mj_forward`.
 
     A draw that diverges, or comes to rest where the episode would already be over or
     on another side than asked, is drawn again.
@@ -64,8 +87,9 @@ def settle_start(
         ModelError: no draw came to rest as asked.
     """
     for _ in range(_ATTEMPTS):
-        release(model, data, robot, task, draw_start(robot, task, rng, kind))
-        if settle(model, data, task, robot.substeps) and _as_asked(robot, data, task, kind):
+        start = draw_start(robot, task, rng, kind)
+        release(model, data, robot, task, start)
+        if settle(model, data, task, robot.substeps, start.settle_s) and _as_asked(robot, data, task, kind):
             return
     raise ModelError(f"none of {_ATTEMPTS} random '{kind}' starts came to rest as it should: does the model stand?")
 
@@ -84,14 +108,14 @@ def release(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, task: Task
     _fill_command_history(model, data)
 
 
-def settle(model: mujoco.MjModel, data: mujoco.MjData, task: Task, substeps: int) -> bool:
-    """Simulate until the robot has been at rest for `still_s`, at most `settle_max_s`.
+def settle(model: mujoco.MjModel, data: mujoco.MjData, task: Task, substeps: int, longest_s: float) -> bool:
+    """Simulate until the robot has been at rest for `still_s`, at most `longest_s`.
 
     Returns:
         Whether the simulation stayed finite.
     """
     quiet = 0
-    for _ in range(round(task.settle_max_s / task.control_period_s)):
+    for _ in range(round(longest_s / task.control_period_s)):
         mujoco.mj_step(model, data, nstep=substeps)
         if diverged(data):
             return False

@@ -26,6 +26,7 @@ class Settings:
         renorm_warmup: batches after which batch renormalisation uses running statistics.
         threads: of torch on a processor; more than one stalls where cores are shared.
         near_target_share: share of the starts near the standing pose, in place of the task's.
+        falling_share: share of the starts between that pose and a random one, still falling.
         checkpoint_steps: transitions between two checkpoints.
         seed: of everything.
     """
@@ -49,6 +50,7 @@ class Settings:
     smooth_steps: int = 4
     threads: int = 1
     near_target_share: float = 0.25
+    falling_share: float = 0.25
     checkpoint_steps: int = 20_000
     seed: int = 0
 
@@ -86,5 +88,6 @@ PRESETS = {
         entropy=1.0,
         smooth=False,
         near_target_share=0.10,
+        falling_share=0.0,
     ),
 }

@@ -82,7 +82,7 @@ class StandUp(gymnasium.Env[Observation, Action]):
 
         Args:
             seed: restarts the environment's chance.
-            options: `start`: `any` (default), `prone`, `supine` or `target`.
+            options: `start`: `any` (default), `random`, `prone`, `supine`, `target` or `falling`.
         """
         super().reset(seed=seed)
         kind: Kind = (options or {}).get("start", "any")

@@ -134,7 +134,7 @@ def describe(plan: Plan) -> dict[str, Any]:
 
 def task_of(settings: Settings) -> Task:
     """The task as a run trains it."""
-    return replace(Task(), near_target_share=settings.near_target_share)
+    return replace(Task(), near_target_share=settings.near_target_share, falling_share=settings.falling_share)
 
 
 def plan_of(run: Path) -> Plan:

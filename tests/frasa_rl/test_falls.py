@@ -51,6 +51,20 @@ def test_the_share_of_near_starts_is_the_tasks(env, share):
     assert np.mean(near) == pytest.approx(share, abs=0.03)
 
 
+def test_falling_starts_reach_from_standing_to_anything(env):
+    """Starts still falling lie between the standing pose and a random one, and last shorter than a settled fall."""
+    rng = np.random.default_rng(3)
+    task = replace(env.task, near_target_share=0.0, falling_share=1.0)
+    starts = [draw_start(env.robot, task, rng) for _ in range(500)]
+    low, high = env.robot.limits.T
+    assert all((low <= one.joints).all() and (one.joints <= high).all() for one in starts)
+    away = np.abs(np.degrees([one.pitch for one in starts]) - Task().target_pitch_deg)
+    assert away.min() < 2.0
+    assert away.max() > 70.0
+    assert {one.settle_s for one in starts} == {task.falling_s}
+    assert task.falling_s > env.model.sensor_delay.max()
+
+
 def test_the_first_observation_is_of_a_robot_at_rest(env):
     """Most starts are still, and none is more than the settling time old."""
     speeds = []
