@@ -50,7 +50,7 @@ def read_mcap(path: Path, clock: Clock | Literal["auto"] = "auto", unit: Unit = 
     if not collected.series:
         raise LogError(f"{path}: {nothing_found(collected)}")
     chosen = _choose_clock(path, collected, clock, faults)
-    named = _name_signals(collected, chosen, faults)
+    named = _name_signals(collected)
     runs = _bench_records(path, collected.report)
     faults += _outside_faults(runs, named, chosen)
     sha256 = sha256_of_file(path)
@@ -101,7 +101,7 @@ def _choose_clock(path: Path, collected: Collected, asked: Clock | Literal["auto
     return "log"
 
 
-def _name_signals(collected: Collected, clock: Clock, faults: list[Fault]) -> dict[str, Series]:
+def _name_signals(collected: Collected) -> dict[str, Series]:
     """Signals by name: the main topic's keep the plain name, others carry their topic's."""
     by_name: dict[str, list[Series]] = defaultdict(list)
     for one in collected.series.values():

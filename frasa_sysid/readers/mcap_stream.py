@@ -16,7 +16,6 @@ from typing import BinaryIO
 
 from mcap.opcode import Opcode
 from mcap.records import (
-    Attachment,
     Channel,
     DataEnd,
     Footer,
@@ -40,7 +39,6 @@ class StreamReport:
 
     Attributes:
         metadata: metadata records in file order.
-        attachments: attached files by name, kept only when asked for.
         messages: messages handed out.
         declared: number of messages according to the file's statistics.
         indexed_metadata: names of metadata records according to the file's index.
@@ -50,7 +48,6 @@ class StreamReport:
     """
 
     metadata: list[Metadata] = field(default_factory=list)
-    attachments: dict[str, bytes] = field(default_factory=dict)
     messages: int = 0
     declared: int | None = None
     indexed_metadata: list[str] = field(default_factory=list)
@@ -59,15 +56,12 @@ class StreamReport:
     summary_damaged: bool = False
 
 
-def read_messages(
-    path: Path, report: StreamReport, keep_attachments: bool = False
-) -> Iterator[tuple[Channel, Schema | None, Message]]:
+def read_messages(path: Path, report: StreamReport) -> Iterator[tuple[Channel, Schema | None, Message]]:
     """The messages of a file in the order they were written.
 
     Args:
         path: the file.
         report: filled on the way; complete when the iteration is.
-        keep_attachments: keep attached files in the report.
 
     Yields:
         Channel, its schema (None when it has none) and the message.
@@ -81,7 +75,7 @@ def read_messages(
             raise LogError(f"{path} is not an MCAP file: it does not begin with the MCAP magic bytes")
         schemas: dict[int, Schema] = {}
         channels: dict[int, Channel] = {}
-        for record in _records(path, file, size, report, keep_attachments):
+        for record in _records(path, file, size, report):
             if isinstance(record, Schema):
                 schemas[record.id] = record
             elif isinstance(record, Channel):
@@ -94,9 +88,7 @@ def read_messages(
                 yield channel, schemas.get(channel.schema_id), record
 
 
-def _records(
-    path: Path, file: BinaryIO, size: int, report: StreamReport, keep_attachments: bool
-) -> Iterator[Schema | Channel | Message]:
+def _records(path: Path, file: BinaryIO, size: int, report: StreamReport) -> Iterator[Schema | Channel | Message]:
     crc = zlib.crc32(MAGIC)
     for frame in _frames(path, file, size, report):
         try:
@@ -113,7 +105,7 @@ def _records(
             elif frame.opcode == Opcode.METADATA:
                 report.metadata.append(Metadata.read(stream_of(frame.body)))
             elif frame.opcode == Opcode.ATTACHMENT:
-                _take_attachment(path, frame, report if keep_attachments else None)
+                _check_attachment(path, frame)
         except PARSE_ERRORS as error:
             raise LogError(
                 f"{path} is damaged in the record at byte {frame.offset}: {error or 'it is cut short'}"
@@ -160,13 +152,10 @@ def _check_data(path: Path, frame: Frame, crc: int) -> None:
         raise LogError(f"{path} is damaged: its data do not match their checksum (CRC)")
 
 
-def _take_attachment(path: Path, frame: Frame, report: StreamReport | None) -> None:
+def _check_attachment(path: Path, frame: Frame) -> None:
     expected = struct.unpack("<I", frame.body[-4:])[0]
     if expected not in (0, zlib.crc32(frame.body[:-4])):
         raise LogError(f"{path} is damaged: the attachment at byte {frame.offset} does not match its checksum (CRC)")
-    if report is not None:
-        attachment = Attachment.read(stream_of(frame.body))
-        report.attachments[attachment.name] = attachment.data
 
 
 def _read_summary(path: Path, file: BinaryIO, size: int, report: StreamReport) -> None:
