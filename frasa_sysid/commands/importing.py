@@ -66,10 +66,9 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if args.unit == "deg" and args.format == "dynaban":
         raise UsageError("--unit deg: Dynaban positions are encoder steps, not degrees")
     table = read_rig_table(args.rig_table) if args.rig_table else None
-    sources = find_sources(args.sources, args.format)
+    sources, failed = _find_all(args.sources, args.format)
     outputs = _outputs(sources, args.out)
     done: list[dict[str, Any]] = []
-    failed = 0
     for source, out in zip(sources, outputs, strict=True):
         try:
             recordings = _import(source, args, table)
@@ -79,33 +78,45 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             failed += 1
         else:
             done.append(_describe(source, out, recordings))
-    _tell(done, args.out)
+    if done:
+        _tell(done, args.out)
     if failed:
-        raise LogError(f"{failed} of {len(sources)} sources could not be imported")
+        raise LogError(f"{failed} of {len(done) + failed} sources could not be imported")
     return {"schema": SCHEMA, "imported": done}
 
 
-def find_sources(arguments: Sequence[str], form: str) -> list[Path]:
-    """The files that the arguments stand for, each once: files, those of a directory, or of a glob.
+def _find_all(arguments: Sequence[str], form: str) -> tuple[list[Path], int]:
+    """The files of all arguments, and how many arguments stand for none; those are named."""
+    found: dict[Path, None] = {}
+    failed = 0
+    for argument in arguments:
+        try:
+            found |= dict.fromkeys(find_sources(argument, form))
+        except LogError as error:
+            say(f"not imported: {error}")
+            failed += 1
+    return list(found), failed
+
+
+def find_sources(argument: str, form: str) -> list[Path]:
+    """The files that one argument stands for: a file, those of a directory, or of a glob.
 
     Raises:
-        LogError: an argument that stands for no file.
+        LogError: it stands for no file.
     """
-    found: dict[Path, None] = {}
-    for argument in arguments:
-        path = Path(argument)
-        if path.is_dir():
-            files = sorted({file for pattern in PATTERNS[form] for file in path.glob(pattern) if file.is_file()})
-            if not files:
-                raise LogError(f"{path} holds no {' or '.join(PATTERNS[form])} file")
-        elif path.exists():
-            files = [path]
-        else:
-            files = sorted(Path(one) for one in glob.glob(argument, recursive=True) if Path(one).is_file())  # noqa: PTH207 - absolute patterns
-            if not files:
-                raise LogError(f"{argument} does not exist" + (" and matches no file" if "*" in argument else ""))
-        found |= dict.fromkeys(files)
-    return list(found)
+    path = Path(argument)
+    if path.is_dir():
+        files = sorted({file for pattern in PATTERNS[form] for file in path.glob(pattern) if file.is_file()})
+        if not files:
+            raise LogError(f"{path} holds no {' or '.join(PATTERNS[form])} file")
+        return files
+    if path.exists():
+        return [path]
+    matches = glob.glob(argument, recursive=True)  # noqa: PTH207 - Path.glob refuses absolute patterns
+    files = sorted(Path(one) for one in matches if Path(one).is_file())
+    if not files:
+        raise LogError(f"{argument} does not exist" + (" and matches no file" if "*" in argument else ""))
+    return files
 
 
 def _outputs(sources: Sequence[Path], folder: Path) -> list[Path]:

@@ -95,16 +95,25 @@ def test_files_directories_and_globs(tmp_path):
     for name in ("a.json", "b.json.gz", "c.json"):
         bam(tmp_path / "in" / name)
     (tmp_path / "in" / "notes.csv").write_text("x")
-    folder = importing.find_sources([str(tmp_path / "in"), str(tmp_path / "in" / "a.json")], "bam")
-    assert [path.name for path in folder] == ["a.json", "c.json", "b.json.gz"] or len(folder) == 3
-    found = importing.find_sources([str(tmp_path / "in" / "*.json")], "bam")
+    folder = importing.find_sources(str(tmp_path / "in"), "bam")
+    assert [path.name for path in folder] == ["a.json", "b.json.gz", "c.json"]
+    found = importing.find_sources(str(tmp_path / "in" / "*.json"), "bam")
     assert [path.name for path in found] == ["a.json", "c.json"]
     for nothing in ("none.json", "no*.json"):
         with pytest.raises(LogError, match="does not exist"):
-            importing.find_sources([str(tmp_path / nothing)], "bam")
+            importing.find_sources(str(tmp_path / nothing), "bam")
     (tmp_path / "empty").mkdir()
     with pytest.raises(LogError, match="holds no"):
-        importing.find_sources([str(tmp_path / "empty")], "bam")
+        importing.find_sources(str(tmp_path / "empty"), "bam")
+
+
+def test_each_file_once_and_a_missing_one_costs_no_other(tmp_path, capsys):
+    """A file named twice is imported once; a source that does not exist is named, the rest imported."""
+    source = bam(tmp_path / "in" / "a.json")
+    words = [source, tmp_path / "in", tmp_path / "none.json", "--format", "bam", "--out", tmp_path / "out"]
+    assert frasa("import", *words) == 3
+    assert "none.json does not exist" in capsys.readouterr().err
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["a.mcap"]
 
 
 def test_json_on_standard_output(tmp_path, capsys):
