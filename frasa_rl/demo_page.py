@@ -117,8 +117,8 @@ def _draw_standing(model_path: Path, path: Path) -> None:
 def _training_text(train: dict[str, Any]) -> str:
     return (
         f"<p>{train['steps']} steps in {train['minutes']:.1f} minutes. This shows a return that rises, "
-        "not a robot that stands: the paper trains for 13 to 37 minutes on a desktop with a GPU (235,000 to 575,000 steps, "
-        "eight updates each); two processor cores need hours for as many updates.</p>"
+        "not a robot that stands: the paper trains for 13 to 37 minutes on a desktop with a GPU "
+        "(235,000 to 575,000 steps, eight updates each); two processor cores need hours for as many updates.</p>"
     )
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import yaml
 from lxml import etree
@@ -19,6 +20,7 @@ from frasa_sysid.calibration import (
     Calibration,
     CalibrationError,
     Range,
+    apply,
     calibration_id,
     load_model,
     read,
@@ -34,6 +36,19 @@ FLOOR_RELATIVE = 0.02  # [1] of the value: another unit or another day differs b
 FLOOR_DELAY = 0.0005  # [s] a bus is not steadier than this
 REPLAY_TOLERANCE = 1e-4  # [rad] between the published model and what the fit saw
 _ACTUATOR_FIELDS = {"kp", "forcerange", "delay"}
+_COMPARED = (
+    "actuator_gainprm",
+    "actuator_biasprm",
+    "actuator_forcerange",
+    "actuator_delay",
+    "dof_damping",
+    "dof_frictionloss",
+    "dof_armature",
+    "dof_invweight0",
+    "body_mass",
+    "body_inertia",
+    "sensor_delay",
+)
 
 
 @dataclass(frozen=True)
@@ -84,36 +99,43 @@ def publish(fits: Sequence[StoredFit], nominal: Path, out: Path) -> Published:
     return Published(xml, ranges, calibration)
 
 
-def write(published: Published, fits: Sequence[StoredFit], out: Path) -> Path:
+def write(published: Published, fits: Sequence[StoredFit], nominal: Path, out: Path) -> Path:
     """Write both files after MuJoCo has compiled the model and every number was read back from it.
 
     Args:
         published: what `publish` made.
         fits: whose numbers must be found again in the compiled model.
+        nominal: the model they started from.
         out: the model file; the ranges go beside it.
 
     Returns:
         The ranges file.
 
     Raises:
-        QualityError: a number read back differs; nothing was replaced then.
+        QualityError: the compiled model differs from the nominal one with the fits applied to it;
+            nothing was replaced then.
     """
     candidate = out.with_name(f".{out.stem}.candidate.xml")
     try:
         write_atomic(candidate, published.xml)
-        model = load_model(candidate)
-        for stored in fits:
-            for name, one in model_parameters(stored).items():
-                if not np.isclose(read(model, name), one["value"], rtol=1e-12, atol=1e-15):
-                    raise QualityError(f"{name}: the compiled model holds {read(model, name)}, the fit {one['value']}")
-        if calibration_id(model) != published.calibration.id:
-            raise QualityError("the compiled model does not carry the calibration id")
+        _check_compiled(load_model(candidate), published, fits, nominal)
         ranges = out.with_name(RANGES_FILE)
         write_atomic(ranges, published.ranges)
         candidate.replace(out)
     finally:
         candidate.unlink(missing_ok=True)
     return ranges
+
+
+def _check_compiled(model: mujoco.MjModel, published: Published, fits: Sequence[StoredFit], nominal: Path) -> None:
+    """The XML that was written and the numbers that were fitted must make one and the same model."""
+    expected = load_model(nominal)
+    apply(expected, {name: one["value"] for stored in fits for name, one in model_parameters(stored).items()})
+    for field in _COMPARED:
+        if not np.allclose(getattr(model, field), getattr(expected, field), rtol=1e-12, atol=1e-15):
+            raise QualityError(f"the compiled model and the fits disagree in {field}; nothing was published")
+    if calibration_id(model) != published.calibration.id:
+        raise QualityError("the compiled model does not carry the calibration id; nothing was published")
 
 
 def check_replay(fitted: Sequence[FloatArray], published: Sequence[FloatArray]) -> float:

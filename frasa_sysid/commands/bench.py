@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
+
 from frasa_sysid.errors import UsageError
 from frasa_sysid.problem import servo_name, split, stated_servo
 from frasa_sysid.readers import read_log
@@ -54,6 +56,12 @@ class Bench:
         """Training and held-out runs on the simulator's grid."""
         step = simulator.timestep
         return runs_of(self.train, self.servo, step), runs_of(self.held_out, self.servo, step)
+
+
+def people_console() -> Console:
+    """Where text for people goes: standard error, wide enough for the tables also when it is a file."""
+    console = Console(stderr=True, highlight=False)
+    return console if console.is_terminal else Console(stderr=True, highlight=False, width=120)
 
 
 def add_bench_arguments(parser: argparse.ArgumentParser) -> None:

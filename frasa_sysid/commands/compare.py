@@ -5,12 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 from frasa_sysid import fit_file
 from frasa_sysid.calibration import SERVO_FIELDS, add_json_flag, calibration_id, load_model, read
-from frasa_sysid.commands.bench import Bench, add_bench_arguments, bench_model, load_bench
+from frasa_sysid.commands.bench import Bench, add_bench_arguments, bench_model, load_bench, people_console
 from frasa_sysid.cost import Misfit, misfit
 from frasa_sysid.errors import UsageError
 from frasa_sysid.report import Trace, write_trace_report
@@ -117,4 +116,4 @@ def _show(errors: dict[str, Misfit]) -> None:
         table.add_row(
             name, f"{one.mae_rad * 1e3:.2f}", f"{one.rmse_rad * 1e3:.2f}", f"{one.by_run[worst] * 1e3:.1f} ({worst})"
         )
-    Console(stderr=True, highlight=False).print(table)
+    people_console().print(table)

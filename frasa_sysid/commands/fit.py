@@ -5,13 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from frasa_sysid import fit_file
 from frasa_sysid.calibration import SERVO_FIELDS, add_json_flag, load_model, read, say, servo_classes
-from frasa_sysid.commands.bench import Bench, add_bench_arguments, bench_model, load_bench
+from frasa_sysid.commands.bench import Bench, add_bench_arguments, bench_model, load_bench, people_console
 from frasa_sysid.commands.publish import publish_files
 from frasa_sysid.errors import InterruptedRunError, UsageError
 from frasa_sysid.fit import EVALUATIONS_PER_PARAMETER, FitResult, fit, simulated
@@ -90,7 +89,7 @@ def _fit_with_progress(
     args: argparse.Namespace, problem: FitProblem, simulator: BenchSimulator, bench: Bench, out: Path
 ) -> FitResult:
     budget = args.evaluations or EVALUATIONS_PER_PARAMETER * len(problem.free)
-    console = Console(stderr=True, highlight=False)
+    console = people_console()
     name = f"{problem.servo.name}: {len(problem.train)} runs, {len(problem.free)} parameters"
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[best]}"), TimeElapsedColumn())
     with Progress(*columns, console=console) as progress:
@@ -136,7 +135,7 @@ def _publish(args: argparse.Namespace, out: Path, result: FitResult, simulator: 
 
 def show(result: FitResult) -> None:
     """Print what was found, for people."""
-    console = Console(stderr=True, highlight=False)
+    console = people_console()
     table = Table(title=f"{result.problem.servo.name}, friction law {result.friction}", title_justify="left")
     for heading in ("parameter", "nominal", "fitted", "95 % interval", "unit", "verdict"):
         table.add_column(heading, justify="right" if heading in ("nominal", "fitted", "95 % interval") else "left")

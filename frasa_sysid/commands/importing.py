@@ -16,7 +16,8 @@ from frasa_sysid.calibration.command_line import add_json_flag, say
 from frasa_sysid.errors import LogError, UsageError
 from frasa_sysid.readers.bam import read_bam
 from frasa_sysid.readers.dynaban import read_dynaban
-from frasa_sysid.readers.mcap import Unit, read_mcap
+from frasa_sysid.readers.mcap import read_mcap
+from frasa_sysid.readers.sources import Unit
 from frasa_sysid.recording import Recording
 from frasa_sysid.rig_table import RigRow, read_rig_table, with_rig
 from frasa_sysid.writer import write_mcap

@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 def publish_files(fits: Sequence[StoredFit], nominal: Path, out: Path) -> Path:
     """Publish and write; returns the ranges file."""
     published = publish(fits, nominal, out)
-    ranges = write(published, fits, out)
+    ranges = write(published, fits, nominal, out)
     servos = ", ".join(sorted(one.servo for one in fits))
     say(f"calibration {published.calibration.id} of {servos}: {out}, {ranges}")
     return ranges

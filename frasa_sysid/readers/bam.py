@@ -15,9 +15,8 @@ import numpy as np
 from frasa_sysid.calibration.files import sha256_of_file
 from frasa_sysid.errors import LogError
 from frasa_sysid.readers import faults as known_faults
-from frasa_sysid.readers.mcap import Unit
 from frasa_sysid.readers.sampling import make_signal
-from frasa_sysid.readers.sources import read_bytes
+from frasa_sysid.readers.sources import Unit, read_bytes
 from frasa_sysid.recording import UNITS, Fault, FloatArray, Recording, RigFacts, Signal
 
 # entry key -> signal and unit; other numbers are kept under their own name, unit `raw`.

@@ -22,10 +22,9 @@ from frasa_sysid.readers import faults as known_faults
 from frasa_sysid.readers.mcap_series import CLOCKS, Collected, Series, collect, file_faults, nothing_found
 from frasa_sysid.readers.mcap_stream import StreamReport
 from frasa_sysid.readers.sampling import make_signal, plural
-from frasa_sysid.readers.sources import check_source
+from frasa_sysid.readers.sources import Unit, check_source
 from frasa_sysid.recording import UNITS, Clock, Fault, Recording, RigFacts, Signal
 
-Unit = Literal["auto", "rad", "deg"]
 MAIN_TOPICS = ("/joint_states", "/joint_command", "/imu/data")
 
 

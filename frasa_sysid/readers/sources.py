@@ -3,9 +3,11 @@
 import gzip
 import zlib
 from pathlib import Path
+from typing import Literal
 
 from frasa_sysid.errors import LogError
 
+Unit = Literal["auto", "rad", "deg"]  # of joint angles, as the user declares it; auto: radians, checked
 TEXT_LIMIT = 2**29  # bytes, unpacked
 GZIP_MAGIC = b"\x1f\x8b"
 

@@ -1,0 +1,69 @@
+"""How close a fit comes to numbers that are known: the project's simulated logs, and the same bench with an M1 servo.
+
+On `bench_logs/` the truth is the M4 law, the fit is M1: gain, damping and friction then have to stand in for
+load-dependent friction, and the table shows by how much. With an M1 truth (same bench, same encoder, jitter and delay,
+a stiff supply) every parameter has an exact counterpart, and the table shows the error of the method itself.
+"""
+
+import dataclasses
+import sys
+from pathlib import Path
+
+
+from frasa_sysid.fit import FitResult, fit
+from frasa_sysid.friction import Friction
+from frasa_sysid.problem import FitProblem, free_parameters, stated_servo
+from frasa_sysid.readers import read_log
+from frasa_sysid.recording import Recording
+from frasa_sysid.rig import runs_of
+from frasa_sysid.rollout import BenchSimulator
+from frasa_sysid.servo import PUBLISHED_M4
+from frasa_sysid.simulate import BENCHES, simulate_bench
+
+ROOT = Path(__file__).resolve().parents[2]
+FIRMWARE_TICK = 0.0005  # [s] a command waits half a firmware period on average; it is part of the delay a fit can see
+
+
+def fitted(name: str, recordings: list[Recording]) -> FitResult:
+    servo, nominal = stated_servo(name, ROOT / "robot_model" / "nominal.xml")
+    stated = servo.error_gain * servo.firmware_gain * servo.supply_voltage
+    with BenchSimulator(ROOT / "robot_model" / "bench_pendulum.xml", 1.0 / stated) as simulator:
+        runs = runs_of(recordings, servo, simulator.timestep)
+        free = free_parameters(servo, nominal, runs, simulator.longest_delay)
+        return fit(FitProblem(servo, nominal, free, tuple(runs), (), "none", 0), simulator, {})
+
+
+def table(title: str, result: FitResult, truth: dict[str, float], law: str) -> None:
+    print(f"\n{title}: mean error {result.nominal.mae_rad * 1e3:.2f} mrad nominal, {result.fitted.mae_rad * 1e3:.2f} "
+          f"fitted; {result.evaluations} evaluations, {result.seconds:.0f} s")  # fmt: skip
+    print(f"{'parameter':<20}{'truth':>10}{'fitted':>10}{'error':>10}  {'95 % interval':<22}{'verdict'}")
+    for one in result.evidence.estimates:
+        known = truth.get(one.name)
+        if one.name.endswith(".delay"):
+            known = truth[one.name] + FIRMWARE_TICK
+        if one.name.endswith(".frictionloss"):
+            known = truth["friction.coulomb"] if law == "m1" else None
+        error = "-"
+        if known is not None:
+            absolute = one.name.endswith((".delay", ".offset"))
+            error = f"{(one.value - known) * 1e3:+.2f} m{one.unit}" if absolute else f"{one.value / known - 1:+.1%}"
+        interval = f"{one.low:.5g} .. {one.high:.5g}"
+        shown = "-" if known is None else f"{known:.5g}"
+        print(f"{one.name:<20}{shown:>10}{one.value:>10.5g}{error:>12}  {interval:<22}{one.verdict}")
+
+
+def main() -> int:
+    for name in ("mx106", "mx64"):
+        recordings = read_log(ROOT / "bench_logs" / f"{name}.mcap")
+        table(f"bench_logs/{name}.mcap (truth M4, fit M1)", fitted(name, recordings), dict(recordings[0].truth), "m4")
+        m4 = PUBLISHED_M4[name]
+        servo = dataclasses.replace(m4, friction=Friction(m4.friction.viscous, 0.09))
+        bench = dataclasses.replace(BENCHES[name], supply_resistance=0.0)
+        recordings = simulate_bench(servo, bench, "m1")
+        table(f"the same bench, truth M1 ({name})", fitted(name, recordings), dict(recordings[0].truth), "m1")
+    print("\nDelay truths include half a firmware period (0.5 ms), which a command waits on average.")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,84 @@
+"""Fits of real servos, with logs held out: nominal against fitted, through the command line a user types.
+
+The logs are other people's (see the catalogue beside them) and are not part of this repository: give their folder,
+or put it at ../shared/data.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT.parent / "shared" / "data"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A set of logs, how it is imported and what is held out."""
+
+    folder: str
+    pattern: str
+    form: str
+    extra: tuple[str, ...]
+    facts: tuple[str, ...]
+    rules: tuple[str, ...]
+
+
+CASES = (
+    Case("sts3215", "*.json.gz", "bam", ("--rig-table", "sts3215/bench_configs.csv"), (), ("none", "kp=24", "mass=0.969")),
+    Case("xl330", "*.json.gz", "bam", (), (), ("none", "kp=400")),
+    Case("sts3250_bam", "*.json.gz", "bam", (), (), ("none", "trajectory=sin_sin")),
+    Case("mx64_dynaban", "completeTest.gz", "dynaban", ("--servo", "mx64"), (), ("none",)),
+)  # fmt: skip
+
+
+def run(*words: str) -> str:
+    program = Path(sys.executable).with_name("frasa-sysid")
+    done = subprocess.run(
+        [program, *words], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, check=False
+    )
+    if done.returncode != 0:
+        raise SystemExit(f"frasa-sysid {' '.join(words)} ended with {done.returncode}:\n{done.stderr}")
+    return done.stdout
+
+
+def main() -> int:
+    if not DATA.is_dir():
+        print(f"skipped: no logs at {DATA}")
+        return 0
+    print(
+        f"{'logs':<14}{'held out':<22}{'train':>6}{'held':>6}{'nominal':>9}{'fitted':>9}{'nominal':>10}{'fitted':>9}{'time':>8}"
+    )
+    print(f"{'':<48}{'train [mrad]':>18}{'held out [mrad]':>19}")
+    with tempfile.TemporaryDirectory() as folder:
+        for case in CASES:
+            logs = Path(folder) / case.folder
+            sources = [str(path) for path in sorted((DATA / case.folder).glob(case.pattern))]
+            extra = [str(DATA / word) if word.endswith(".csv") else word for word in case.extra]
+            run("import", *sources, "--format", case.form, "--out", str(logs), *extra)
+            for rule in case.rules:
+                out = str(Path(folder) / "fit.json")
+                data = json.loads(
+                    run("fit", str(logs), *case.facts, "--hold-out", rule, "--out", out, "--no-report", "--json")
+                )
+                report(case.folder, rule, data)
+    return 0
+
+
+def report(name: str, rule: str, data: dict) -> None:
+    errors = data["misfit"]
+    cells = [errors[key]["mae_rad"] for key in ("nominal", "fitted", "held_out_nominal", "held_out")]
+    text = ["-" if cell is None else f"{cell * 1e3:.2f}" for cell in cells]
+    runs = data["runs"]
+    print(
+        f"{name:<14}{rule:<22}{runs['train']:>6}{runs['held_out']:>6}{text[0]:>9}{text[1]:>9}{text[2]:>10}{text[3]:>9}"
+        f"{data['seconds']:>7.0f}s",
+        flush=True,
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
