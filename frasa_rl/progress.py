@@ -108,10 +108,10 @@ class Progress(BaseCallback):
 
     def show(self) -> None:
         """The progress line."""
-        episodes = self._episodes()
+        returned = _shown(_mean([one["r"] for one in self._episodes()]), "6.1f")
         line = (
-            f"{self.num_timesteps:>9,} steps  {_clock(self.elapsed_s)}  return {_mean([e['r'] for e in episodes]):6.1f}"
-            f"  standing {100.0 * self._success():3.0f} %"
+            f"{self.num_timesteps:>9,} steps  {_clock(self.elapsed_s)}  return {returned}"
+            f"  standing {_shown(100.0 * self._success(), '3.0f')} %"
             f"  {self._rate():5.0f} steps/s  left {_clock(self._left_s())}"
         )
         if sys.stderr.isatty():
@@ -165,6 +165,11 @@ def read_progress(path: Path) -> list[list[float]]:
 def _known(rows: list[list[float]]) -> list[list[float]]:
     """Rows without those before the first finished episode."""
     return [row for row in rows if np.isfinite(row).all()]
+
+
+def _shown(value: float, form: str) -> str:
+    """A number for the progress line; a dash until there is one."""
+    return format(value, form) if np.isfinite(value) else "-".rjust(int(form.split(".")[0]))
 
 
 def _mean(values: list[float]) -> float:

@@ -45,7 +45,7 @@ class Camera:
         self._view = mujoco.MjvCamera()
         self._view.type = mujoco.mjtCamera.mjCAMERA_TRACKING
         self._view.trackbodyid = model.body(TRUNK).id
-        self._view.distance, self._view.azimuth, self._view.elevation = 1.4, 120.0, -15.0
+        self._view.distance, self._view.azimuth, self._view.elevation = 1.1, 120.0, -12.0
 
     def picture(self, data: mujoco.MjData) -> Frame:
         """The scene now, shape (height, width, 3)."""
