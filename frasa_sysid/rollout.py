@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from frasa_sysid.calibration import load_model
+from frasa_sysid.calibration import load_model, sha256_of
 from frasa_sysid.errors import ModelError
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.rig import BenchRun
@@ -95,6 +95,13 @@ class BenchSimulator:
         return float(self._model.opt.timestep)
 
     @property
+    def fingerprint(self) -> str:
+        """Hash of the compiled model: what it is, whatever file it came from."""
+        compiled = np.empty(mujoco.mj_sizeModel(self._model), np.uint8)
+        mujoco.mj_saveModel(self._model, None, compiled)
+        return sha256_of(compiled.tobytes())
+
+    @property
     def longest_delay(self) -> float:
         """What the model's command history can hold [s]."""
         return float(self._model.actuator_history[0, 0] * self._model.opt.timestep)
@@ -164,8 +171,10 @@ class BenchSimulator:
         states, _ = self._rollout.rollout(models, self._data, start, commands)
         for job, path in zip(jobs, states, strict=True):
             count = job.schedule[phase][1]
-            # Column 0 is time, column 1 the joint angle.
-            job.angle[job.done + 1 : job.done + 1 + count] = path[:count, 1]
+            # Column 0 is time, column 1 the joint angle. MuJoCo resets a simulation that blew up, clock and all.
+            expected = (job.done + 1 + np.arange(count)) * self.timestep
+            sound = np.abs(path[:count, 0] - expected) < 0.5 * self.timestep
+            job.angle[job.done + 1 : job.done + 1 + count] = np.where(sound, path[:count, 1], np.nan)
             job.state = path[count - 1].copy()
             job.done += count
 
@@ -232,5 +241,5 @@ def _at_measured_times(job: _Job) -> FloatArray:
     index = job.run.step.astype(np.intp)
     low, high = job.angle[index], job.angle[np.minimum(index + 1, job.run.steps)]
     reading = low + job.run.weight * (high - low) + job.values.offset
-    # MuJoCo resets a simulation that blew up; far beyond the encoder's world it is no answer.
+    # Far beyond the encoder's world it is no answer.
     return np.where(np.abs(reading) < 1e3, reading, np.nan)
