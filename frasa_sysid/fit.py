@@ -9,7 +9,7 @@ import importlib.metadata
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Literal
 
@@ -91,12 +91,15 @@ def fit(
     started = time.monotonic()
     budget = evaluations or EVALUATIONS_PER_PARAMETER * len(problem.free)
     tell = on_progress or (lambda stage, count, best: None)
-    found = _search(problem, simulator, budget, inputs, optimizer, checkpoint, tell)
-    x, used = found.x, found.evaluations
-    if optimizer == "cmaes+lsq" and found.stop is not Stop.INTERRUPTED:
+    found = _search(problem, simulator, budget, optimizer, checkpoint, tell)
+    x, used, stop = found.x, found.evaluations, found.stop
+    if optimizer == "cmaes+lsq" and stop is not Stop.INTERRUPTED:
         tell("finishing", used, found.cost)
-        x, more = finish(problem, simulator, x)
-        used += more
+        try:
+            x, more = finish(problem, simulator, x)
+            used += more
+        except KeyboardInterrupt:
+            stop = Stop.INTERRUPTED
     tell("weighing the evidence", used, found.cost)
     weighed = evidence(problem, simulator, problem.from_unit(x))
     values = _drop_unexcited(problem, simulator, problem.from_unit(x), weighed)
@@ -113,7 +116,7 @@ def fit(
         fitted=fitted,
         held_out_nominal=held_nominal,
         held_out=held,
-        stop=found.stop,
+        stop=stop,
         trace=tuple(found.trace.best),
         evaluations=used,
         seconds=time.monotonic() - started,
@@ -132,7 +135,6 @@ def _search(
     problem: FitProblem,
     simulator: BenchSimulator,
     budget: int,
-    inputs: dict[str, str],
     optimizer: Optimizer,
     checkpoint: Path | None,
     tell: Callable[[str, int, float], None],
@@ -151,7 +153,7 @@ def _search(
         problem.seed,
         budget,
         checkpoint,
-        _identity(problem, inputs, optimizer),
+        _identity(problem, simulator, optimizer),
         lambda count, best: tell("searching", count, best),
     )
 
@@ -164,16 +166,22 @@ def subset(runs: Sequence[BenchRun], count: int) -> list[BenchRun]:
     return [ordered[i] for i in np.linspace(0, len(ordered) - 1, count).round().astype(int)]
 
 
-def _identity(problem: FitProblem, inputs: dict[str, str], optimizer: str) -> str:
+def _identity(problem: FitProblem, simulator: BenchSimulator, optimizer: str) -> str:
     """Hash of everything the search depends on: another input never resumes this one's checkpoint."""
+    runs = hashlib.sha256()
+    for run in problem.train:
+        # Everything in it: the same log with another load, gain or clock is another run.
+        for one in fields(run):
+            value = getattr(run, one.name)
+            runs.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
     facts = {
         "free": [(one.name, one.low, one.high, one.nominal) for one in problem.free],
         "nominal": dict(problem.nominal),
-        "train": [run.name for run in problem.train],
-        "inputs": inputs,
+        "train": runs.hexdigest(),
+        "model": simulator.fingerprint,
         "seed": problem.seed,
         "optimizer": optimizer,
-        "mujoco": importlib.metadata.version("mujoco"),
+        "versions": {name: importlib.metadata.version(name) for name in ("frasa", "mujoco", "cmaes")},
     }
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
 

@@ -6,7 +6,7 @@ changes, and never narrower than a stated floor.
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from frasa_sysid.calibration import (
     apply,
     calibration_id,
     load_model,
+    number,
     read,
     sha256_of,
     write_atomic,
@@ -76,8 +77,9 @@ def publish(fits: Sequence[StoredFit], nominal: Path, out: Path) -> Published:
 
     Raises:
         CalibrationError: two fits claim one parameter, or a fit was stated at another supply or gain.
-        ModelError: the nominal model lacks a class, or is not XML.
+        ModelError: the nominal model lacks a class, is not XML, is calibrated already, or would be overwritten.
     """
+    _check_place(nominal, out)
     ordered = sorted(fits, key=lambda one: (one.servo, one.sha256))
     _check_claims(ordered)
     root = _inlined(nominal)
@@ -99,7 +101,13 @@ def publish(fits: Sequence[StoredFit], nominal: Path, out: Path) -> Published:
     return Published(xml, ranges, calibration)
 
 
-def write(published: Published, fits: Sequence[StoredFit], nominal: Path, out: Path) -> Path:
+def write(
+    published: Published,
+    fits: Sequence[StoredFit],
+    nominal: Path,
+    out: Path,
+    check: Callable[[mujoco.MjModel], None] | None = None,
+) -> Path:
     """Write both files after MuJoCo has compiled the model and every number was read back from it.
 
     Args:
@@ -107,6 +115,7 @@ def write(published: Published, fits: Sequence[StoredFit], nominal: Path, out: P
         fits: whose numbers must be found again in the compiled model.
         nominal: the model they started from.
         out: the model file; the ranges go beside it.
+        check: a last look at the compiled model, which raises when it is not good.
 
     Returns:
         The ranges file.
@@ -118,7 +127,10 @@ def write(published: Published, fits: Sequence[StoredFit], nominal: Path, out: P
     candidate = out.with_name(f".{out.stem}.candidate.xml")
     try:
         write_atomic(candidate, published.xml)
-        _check_compiled(load_model(candidate), published, fits, nominal)
+        model = load_model(candidate)
+        _check_compiled(model, published, fits, nominal)
+        if check is not None:
+            check(model)
         ranges = out.with_name(RANGES_FILE)
         write_atomic(ranges, published.ranges)
         candidate.replace(out)
@@ -144,13 +156,22 @@ def check_replay(fitted: Sequence[FloatArray], published: Sequence[FloatArray]) 
     Raises:
         QualityError: it is more than 0.1 mrad.
     """
-    worst = max(float(np.max(np.abs(a - b))) for a, b in zip(fitted, published, strict=True))
+    # np.max, not max: a NaN has to show wherever it stands.
+    worst = float(np.max([np.max(np.abs(a - b)) for a, b in zip(fitted, published, strict=True)]))
     if not worst <= REPLAY_TOLERANCE:
         raise QualityError(
             f"the published model replays the logs {worst * 1e3:.3f} mrad away from the fit; allowed is "
             f"{REPLAY_TOLERANCE * 1e3:.1f} mrad"
         )
     return worst
+
+
+def _check_place(nominal: Path, out: Path) -> None:
+    if calibration_id(load_model(nominal)) is not None:
+        raise ModelError(f"{nominal} is calibrated already; publish from the nominal model")
+    sources = [nominal, *(nominal.parent / (one.get("file") or "") for one in _parse(nominal).iter("include"))]
+    if out.resolve() in {source.resolve() for source in sources}:
+        raise ModelError(f"{out} is part of the nominal model, which publishing never changes; choose another --out")
 
 
 def _check_claims(fits: Sequence[StoredFit]) -> None:
@@ -169,7 +190,7 @@ def _check_stated(fits: Sequence[StoredFit], nominal: Path) -> None:
     for stored in fits:
         read(model, f"{stored.servo}.kp")  # the class exists
         for key, value in stored.stated.items():
-            here = float(model.numeric(f"servo_{key}").data[0])
+            here = number(model, f"servo_{key}")
             if not np.isclose(here, value):
                 raise CalibrationError(
                     f"the fit of {stored.servo} states {key} = {value}, {nominal} has {here}; fit again from this model"
@@ -259,7 +280,8 @@ def _headline(fits: Sequence[StoredFit], key: str) -> str:
         for name, one in model_parameters(stored).items():
             interval = f"({one['low']:.4g} .. {one['high']:.4g}) {one['unit']}"
             lines.append(f"    {name} = {one['value']:.6g} {interval}: {one['verdict']}")
-    return "\n  ".join(lines) + "\n  "
+    # XML allows no double hyphen in a comment.
+    return "\n  ".join(lines).replace("--", "- -") + "\n  "
 
 
 def _calibration(fits: Sequence[StoredFit], key: str) -> Calibration:

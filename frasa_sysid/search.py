@@ -146,7 +146,7 @@ def _load(path: Path | None, identity: str) -> list[list[float]]:
         if data["identity"] != identity:
             return []
         rows = [[float(cost) for cost in row] for row in data["costs"]]
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         # A checkpoint is only a shortcut: a broken one costs time, never the result.
         return []
     return rows if np.isfinite(np.concatenate([np.zeros(1), *map(np.array, rows)])).all() else []

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -57,6 +58,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     """
     if args.evaluations is not None and args.evaluations < 1:
         raise UsageError(f"--evaluations {args.evaluations}: expected 1 or more")
+    if not 0 <= args.seed < 2**32:
+        raise UsageError(f"--seed {args.seed}: expected 0 to 2^32 - 1")
     bench = load_bench(args, args.hold_out)
     out = args.out or args.model.parent / "fits" / f"{bench.servo.name}.json"
     if args.publish:
@@ -67,12 +70,15 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         data = fit_file.to_json(result, bench.origin)
         outputs: dict[str, Any] = {"fit": out, "model": None, "ranges": None, "report": None}
         fit_file.save(out, {key: value for key, value in data.items() if key != "seconds"})
-        _partial(out).unlink(missing_ok=True)
+        if result.stop is not Stop.INTERRUPTED:
+            _partial(out).unlink(missing_ok=True)
         show(result)
         if not args.no_report:
             outputs["report"] = write_fit_report(out.with_suffix(".html"), result, simulator)
         if result.stop is Stop.INTERRUPTED:
-            raise InterruptedRunError(f"interrupted; the best of {result.evaluations} evaluations is in {out}")
+            raise InterruptedRunError(
+                f"interrupted; the best of {result.evaluations} evaluations is in {out}, the same command goes on"
+            )
         if args.publish:
             outputs["model"], outputs["ranges"] = _publish(args, out, result, simulator)
     _tell_outputs(outputs)
@@ -119,18 +125,19 @@ def _check_publishable(args: argparse.Namespace, bench: Bench, out: Path) -> Non
 
 def _publish(args: argparse.Namespace, out: Path, result: FitResult, simulator: BenchSimulator) -> tuple[Path, Path]:
     model_path = args.model.with_name("calibrated.xml")
-    fits = find_fits(out.parent)
-    ranges = publish_files([fit_file.load(path) for path in fits], args.model, model_path)
-    model = load_model(model_path)
     servo = result.problem.servo.name
-    published = replace(
-        result.problem.servo_values(result.values),
-        **{field: read(model, f"{servo}.{field}") for field in SERVO_FIELDS},
-    )
-    runs = [*result.problem.train, *result.problem.held_out]
-    worst = check_replay(simulated(result, simulator, runs), simulator.simulate(runs, [published])[0])
-    say(f"{model_path} replays the {len(runs)} runs within {worst * 1e3:.2g} mrad of the fit")
-    return model_path, ranges
+
+    def check(model: mujoco.MjModel) -> None:
+        published = replace(
+            result.problem.servo_values(result.values),
+            **{field: read(model, f"{servo}.{field}") for field in SERVO_FIELDS},
+        )
+        runs = [*result.problem.train, *result.problem.held_out]
+        worst = check_replay(simulated(result, simulator, runs), simulator.simulate(runs, [published])[0])
+        say(f"{model_path} replays the {len(runs)} runs within {worst * 1e3:.2g} mrad of the fit")
+
+    fits = [fit_file.load(path) for path in find_fits(out.parent)]
+    return model_path, publish_files(fits, args.model, model_path, check)
 
 
 def show(result: FitResult) -> None:

@@ -1,9 +1,11 @@
 """`frasa-sysid publish`: fit files into the MuJoCo model and the randomization ranges."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
+
+import mujoco
 
 from frasa_sysid import fit_file
 from frasa_sysid.calibration import add_json_flag, say
@@ -41,10 +43,12 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     return {"schema": SCHEMA, "fits": args.fits, "outputs": {"model": out, "ranges": ranges}}
 
 
-def publish_files(fits: Sequence[StoredFit], nominal: Path, out: Path) -> Path:
-    """Publish and write; returns the ranges file."""
+def publish_files(
+    fits: Sequence[StoredFit], nominal: Path, out: Path, check: Callable[[mujoco.MjModel], None] | None = None
+) -> Path:
+    """Publish and write, when the compiled model passes `check`; returns the ranges file."""
     published = publish(fits, nominal, out)
-    ranges = write(published, fits, nominal, out)
+    ranges = write(published, fits, nominal, out, check)
     servos = ", ".join(sorted(one.servo for one in fits))
     say(f"calibration {published.calibration.id} of {servos}: {out}, {ranges}")
     return ranges
