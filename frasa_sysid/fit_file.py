@@ -105,7 +105,7 @@ def load(path: Path) -> StoredFit:
         raise InputError(f"{path} is not a fit file: expected schema '{SCHEMA}'")
     try:
         return _stored(data, sha256_of(content))
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(f"{path}: missing or wrong field: {error!r}") from error
 
 
@@ -139,10 +139,27 @@ def _stored(data: dict[str, Any], sha256: str) -> StoredFit:
         origin=str(data["origin"]),
         sha256=sha256,
     )
-    for name, one in model_parameters(stored).items():
-        if one["unit"] != parameter(name).unit or not np.isfinite(one["value"]):
-            raise ValueError(f"{name} = {one['value']} [{one['unit']}], expected [{parameter(name).unit}]")
+    _check_parameters(stored)
     return stored
+
+
+def _check_parameters(stored: StoredFit) -> None:
+    in_model = model_parameters(stored)
+    for name, one in stored.parameters.items():
+        if name in in_model:
+            if one["unit"] != parameter(name).unit or one["value"] < 0.0:
+                raise ValueError(f"{name} = {one['value']} [{one['unit']}], expected >= 0 [{parameter(name).unit}]")
+        elif name not in (f"{stored.servo}.damping_off", "bench.offset"):
+            raise ValueError(f"unknown parameter '{name}' of servo '{stored.servo}'")
+        # Written so that NaN fails too.
+        if not (one["low"] <= one["value"] <= one["high"] and one["spread_low"] <= one["spread_high"]):
+            raise ValueError(f"{name}: the interval {one['low']} .. {one['high']} does not hold {one['value']}")
+        if not np.isfinite([one["low"], one["high"], one["spread_low"], one["spread_high"]]).all():
+            raise ValueError(f"{name}: the interval {one['low']} .. {one['high']} is not finite")
+    if not set(stored.correlated) <= set(stored.parameters):
+        raise ValueError(f"correlation of unknown parameters {sorted(set(stored.correlated) - set(stored.parameters))}")
+    if not all(np.isfinite(value) and value > 0.0 for value in stored.stated.values()):
+        raise ValueError(f"stated_at = {stored.stated}, expected positive numbers")
 
 
 def _parameters(result: FitResult) -> dict[str, dict[str, Any]]:

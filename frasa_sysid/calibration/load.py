@@ -73,13 +73,13 @@ def read_calibration(path: Path) -> Calibration:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise CalibrationError(f"no ranges file at {path}: run frasa-sysid publish") from None
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise CalibrationError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(data, dict) or data.get("schema") != SCHEMA:
         raise CalibrationError(f"{path}: expected schema '{SCHEMA}'")
     try:
         return _from_dict(data)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise CalibrationError(f"{path}: missing or wrong field: {error!r}") from error
 
 

@@ -21,7 +21,7 @@ class Range:
     """A value and the interval that the evidence allows.
 
     Attributes:
-        low, value, high: in `unit`, low <= value <= high.
+        low, value, high: in `unit`, 0 <= low <= value <= high; nothing that is calibrated can be negative.
         unit: SI unit as text.
         origin: where the interval comes from, in words.
     """
@@ -33,8 +33,10 @@ class Range:
     origin: str
 
     def __post_init__(self) -> None:
-        if not (np.isfinite([self.low, self.value, self.high]).all() and self.low <= self.value <= self.high):
-            raise CalibrationError(f"range {self.low} .. {self.value} .. {self.high} is not in order or not finite")
+        if not (np.isfinite([self.low, self.value, self.high]).all() and 0.0 <= self.low <= self.value <= self.high):
+            raise CalibrationError(
+                f"range {self.low} .. {self.value} .. {self.high} is negative, not in order or not finite"
+            )
 
 
 @dataclass(frozen=True)
@@ -62,8 +64,10 @@ class Calibration:
         unknown = sorted(set(self.correlated) - set(self.ranges))
         if matrix.shape != (size, size) or unknown:
             raise CalibrationError(f"correlation of shape {matrix.shape} for {size} names; without a range: {unknown}")
-        if size and not (np.isfinite(matrix).all() and np.linalg.eigvalsh(matrix).min() > -1e-6):
-            raise CalibrationError("the correlation matrix is not finite and positive semi-definite")
+        if len(set(self.correlated)) != size:
+            raise CalibrationError("a name stands twice in the correlation")
+        if size and not _is_correlation(matrix):
+            raise CalibrationError("not a correlation matrix: symmetric, ones on the diagonal, no negative eigenvalue")
         matrix.setflags(write=False)
         object.__setattr__(self, "correlation", matrix)
         object.__setattr__(self, "ranges", MappingProxyType(dict(self.ranges)))
@@ -96,6 +100,13 @@ class Calibration:
             },
             "correlation": {"names": list(self.correlated), "matrix": self.correlation.tolist()},
         }
+
+
+def _is_correlation(matrix: npt.NDArray[np.float64]) -> bool:
+    """Within the rounding of the files that hold it."""
+    if not (np.isfinite(matrix).all() and np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-5)):
+        return False
+    return bool(np.allclose(np.diag(matrix), 1.0, rtol=0.0, atol=1e-5) and np.linalg.eigvalsh(matrix).min() > -1e-5)
 
 
 def _root(matrix: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
