@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from frasa_sysid.calibration import ModelError, load_model, read, servo_classes
-from frasa_sysid.errors import LogError, UsageError
+from frasa_sysid.calibration import calibration_id, load_model, number, read, servo_classes
+from frasa_sysid.errors import LogError, ModelError, UsageError
 from frasa_sysid.recording import FloatArray, Recording
 from frasa_sysid.rig import BenchRun
 from frasa_sysid.rollout import ServoValues
@@ -113,6 +113,10 @@ def stated_servo(name: str, model_path: Path) -> tuple[Servo, dict[str, float]]:
 
     Returns:
         The servo, and `ServoValues` fields in MuJoCo's terms at the servo's stated supply and gain.
+
+    Raises:
+        UsageError: nobody knows the servo.
+        ModelError: there is no such model, it is calibrated already, or a number in it is not positive.
     """
     known = servo(name)
     fields = {
@@ -123,15 +127,16 @@ def stated_servo(name: str, model_path: Path) -> tuple[Servo, dict[str, float]]:
         "armature": known.armature,
         "delay": 0.0,
     }
-    if model_path.is_file():
-        model = load_model(model_path)
-        if name in servo_classes(model):
-            supply, gain = (
-                float(model.numeric("servo_supply_voltage").data[0]),
-                float(model.numeric("servo_firmware_gain").data[0]),
-            )
-            known = replace(known, supply_voltage=supply, firmware_gain=gain)
-            fields = {field: read(model, f"{name}.{field}") for field in fields}
+    model = load_model(model_path)
+    if calibration_id(model) is not None:
+        raise ModelError(f"{model_path} is calibrated already; a fit starts from the nominal model")
+    if name in servo_classes(model):
+        supply, gain = number(model, "servo_supply_voltage"), number(model, "servo_firmware_gain")
+        known = replace(known, supply_voltage=supply, firmware_gain=gain)
+        fields = {field: read(model, f"{name}.{field}") for field in fields}
+        flat = [field for field in _SPAN if field in fields and not fields[field] > 0.0]
+        if flat:
+            raise ModelError(f"{model_path}: {', '.join(flat)} of '{name}' must be above 0 to start a fit from")
     return known, {**fields, "damping_off": known.friction.viscous, "offset": 0.0}
 
 
@@ -234,7 +239,6 @@ def servo_name(recordings: Sequence[Recording], given: str | None) -> str:
 __all__ = [
     "FitProblem",
     "FreeParameter",
-    "ModelError",
     "free_parameters",
     "servo_name",
     "split",

@@ -156,15 +156,22 @@ def _supply(recording: Recording) -> float:
     """Supply while powered [V]: the median of what was measured, else what was declared."""
     measured = recording.signals.get("supply_voltage")
     if measured is None:
-        if not recording.rig.supply_voltage:
-            raise LogError(f"{recording.name}: no supply voltage, measured or declared; give --supply-voltage V")
-        return recording.rig.supply_voltage
+        return _declared_supply(recording)
     values = measured.y
     enable = recording.signals.get("torque_enable")
     if enable is not None:
         powered = enable.y[np.maximum(np.searchsorted(enable.t, measured.t, side="right") - 1, 0)] > 0.5
         values = values[powered] if powered.any() else values
-    return float(np.median(values))
+    supply = float(np.median(values))
+    if supply <= 0.0:
+        raise LogError(f"{recording.name}: 'supply_voltage' measures {supply:g} V while powered; no servo runs on that")
+    return supply
+
+
+def _declared_supply(recording: Recording) -> float:
+    if not recording.rig.supply_voltage:
+        raise LogError(f"{recording.name}: no supply voltage, measured or declared; give --supply-voltage V")
+    return recording.rig.supply_voltage
 
 
 def _switches(recording: Recording, start: float) -> tuple[FloatArray, bool]:
