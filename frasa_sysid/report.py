@@ -74,8 +74,8 @@ def write_trace_report(path: Path, title: str, traces: Sequence[Trace]) -> Path 
     """Write a page of traces only; None where matplotlib is not installed."""
     if not _has_matplotlib():
         return None
-    shown = _shown([trace.run for trace in traces])
-    drawn = [trace for trace in traces if trace.run in shown]
+    shown = {run.name for run in _shown([trace.run for trace in traces])}
+    drawn = [trace for trace in traces if trace.run.name in shown]
     write_atomic(path, _page(title, [_image(_trace_figure(drawn, set()))]))
     return path
 
@@ -161,7 +161,7 @@ def _trace_figure(traces: Sequence[Trace], held: set[str]) -> "Figure":
         for name, reading in trace.readings.items():
             ax.plot(trace.run.t, reading, lw=1.1, color=colours.get(name), label=name)
         mark = " (held out)" if trace.run.name in held else ""
-        ax.set_title(f"{trace.run.trajectory or trace.run.name} {trace.run.group}{mark}", fontsize=9)
+        ax.set_title(f"{trace.run.trajectory or trace.run.name} {trace.run.group}{mark}", fontsize=9, parse_math=False)
         ax.set_ylabel("angle [rad]", fontsize=8)
         ax.tick_params(labelsize=8)
     for ax in axes[len(traces) :]:

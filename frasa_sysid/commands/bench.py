@@ -8,7 +8,7 @@ from typing import Any
 
 from rich.console import Console
 
-from frasa_sysid.errors import UsageError
+from frasa_sysid.errors import LogError, UsageError
 from frasa_sysid.problem import servo_name, split, stated_servo
 from frasa_sysid.readers import read_log
 from frasa_sysid.recording import Recording
@@ -81,13 +81,16 @@ def load_bench(args: argparse.Namespace, hold_out: str = "none") -> Bench:
     """Read the logs of a command.
 
     Raises:
-        LogError: an unreadable log, or one that lacks a signal or fact.
-        UsageError: no log in a folder, or a bad hold-out rule.
+        LogError: an unreadable log, one that lacks a signal or fact, or two of one name.
+        UsageError: no log in a folder, no threads, or a bad hold-out rule.
     """
+    if args.threads is not None and args.threads < 1:
+        raise UsageError(f"--threads {args.threads}: expected 1 or more")
     facts = {name: getattr(args, name) for name in _FACTS if getattr(args, name) is not None}
     recordings = [
         _completed(recording, facts) for path in _files(args.logs) for recording in read_log(path, args.clock)
     ]
+    _check_names(recordings)
     name = servo_name(recordings, args.servo)
     servo, nominal = stated_servo(name, args.model)
     train, held_out = split(recordings, hold_out)
@@ -108,6 +111,14 @@ def _files(paths: Sequence[Path]) -> list[Path]:
             raise UsageError(f"no .mcap file in the folder {path}")
         found += [one for one in inside if one not in found]
     return found
+
+
+def _check_names(recordings: Sequence[Recording]) -> None:
+    """Results are told apart by these names; and one log given twice would count as two."""
+    names = [one.name for one in recordings]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise LogError(f"{len(twice)} recordings come twice, such as {twice[0]}: give each log once, by its own name")
 
 
 def _completed(recording: Recording, facts: dict[str, Any]) -> Recording:

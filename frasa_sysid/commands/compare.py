@@ -1,6 +1,7 @@
 """`frasa-sysid compare`: simulated against measured, for models and fits side by side."""
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -82,10 +83,16 @@ def _candidates(args: argparse.Namespace, bench: Bench) -> list[_Candidate]:
     for path in args.with_model:
         model = load_model(path)
         fields = {field: read(model, f"{bench.servo.name}.{field}") for field in SERVO_FIELDS}
-        found.append(_Candidate(path.name, ServoValues(**{**nominal, **_bench_facts(path, bench), **fields})))
+        values = ServoValues(**{**nominal, **_bench_facts(path, bench), **fields})
+        found.append(_Candidate(_name(path, found), values))
     for path in args.fit:
-        found.append(_Candidate(path.name, ServoValues(**{**nominal, **_fields(path, bench)})))
+        found.append(_Candidate(_name(path, found), ServoValues(**{**nominal, **_fields(path, bench)})))
     return found
+
+
+def _name(path: Path, taken: Sequence[_Candidate]) -> str:
+    """The file's name, with its folder where another candidate has the same."""
+    return str(path) if path.name in {one.name for one in taken} else path.name
 
 
 def _bench_facts(model_path: Path, bench: Bench) -> dict[str, float]:

@@ -34,10 +34,12 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     """Simulate and write.
 
     Raises:
-        UsageError: a delay outside 0 .. 30 ms.
+        UsageError: a delay outside 0 .. 30 ms, or a negative seed.
     """
     if args.delay is not None and not 0.0 <= args.delay <= _LONGEST_DELAY:
         raise UsageError(f"--delay {args.delay}: expected seconds, 0 to {_LONGEST_DELAY}")
+    if args.seed is not None and args.seed < 0:
+        raise UsageError(f"--seed {args.seed}: expected 0 or more")
     truth = servo(args.servo, PUBLISHED_M4)
     bench = bench_of(args.servo, args.delay, args.seed)
     recordings = simulate_bench(truth, bench, args.out.name)
