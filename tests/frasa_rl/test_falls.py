@@ -83,6 +83,18 @@ def test_the_drawn_robot_has_settled_before_the_episode(env):
     np.testing.assert_array_equal(env._observe(), first)
 
 
+def test_a_robot_at_rest_stays_at_rest(env):
+    """The first control period moves nothing: the episode runs on the robot that has settled (upstream bug B6)."""
+    speeds = []
+    for seed in range(12):
+        env.reset(seed=seed, options={"start": "random"})
+        if np.abs(env.data.qvel).max() < env.task.still_speed:
+            env.step(np.zeros(5))
+            speeds.append(np.abs(env.data.qvel).max())
+    assert len(speeds) > 6
+    assert max(speeds) < 2 * env.task.still_speed
+
+
 def test_no_stale_samples_after_a_reset(env):
     """Delay buffers hold the settled robot: what is measured of a robot at rest is what is true."""
     for seed in range(8):
