@@ -81,7 +81,7 @@ def bench_run(recording: Recording, servo: Servo, timestep: float) -> BenchRun:
     rig = recording.rig
     voltage_driven = rig.control == "voltage"
     position = recording.signal("position")
-    drive = recording.signal("voltage_command" if voltage_driven else "goal")
+    drive = _drive(recording, voltage_driven)
     _check_single(recording, position, drive)
     start = position.t[0]
     t = position.t - start
@@ -111,6 +111,18 @@ def bench_run(recording: Recording, servo: Servo, timestep: float) -> BenchRun:
         step=cells,
         weight=t / timestep - cells,
     )
+
+
+def _drive(recording: Recording, voltage_driven: bool) -> Signal:
+    """What the servo was told; a fit without it would be a guess."""
+    name = "voltage_command" if voltage_driven else "goal"
+    if name not in recording.signals:
+        topic = "as an interface of /dynamic_joint_states" if voltage_driven else "as positions on /joint_command"
+        raise LogError(
+            f"{recording.name} has no '{name}' signal; it has {', '.join(sorted(recording.signals))}; "
+            f"record the commands too, {topic}"
+        )
+    return recording.signals[name]
 
 
 def _check_single(recording: Recording, *signals: Signal) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 from rich.console import Console
 
+from frasa_sysid.commands.faults import show_faults
 from frasa_sysid.errors import LogError, UsageError
 from frasa_sysid.problem import servo_name, split, stated_servo
 from frasa_sysid.readers import read_log
@@ -91,6 +92,8 @@ def load_bench(args: argparse.Namespace, hold_out: str = "none") -> Bench:
         _completed(recording, facts) for path in _files(args.logs) for recording in read_log(path, args.clock)
     ]
     _check_names(recordings)
+    if any(recording.faults for recording in recordings):
+        show_faults(people_console(), recordings)
     name = servo_name(recordings, args.servo)
     servo, nominal = stated_servo(name, args.model)
     train, held_out = split(recordings, hold_out)

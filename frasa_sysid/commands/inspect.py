@@ -1,7 +1,7 @@
 """`frasa-sysid inspect`: what is in a log, its clock and faults, and what it can identify."""
 
 import argparse
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -12,6 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from frasa_sysid.calibration.command_line import add_json_flag
+from frasa_sysid.commands.faults import show_faults
 from frasa_sysid.identifiability import Finding, findings, next_logs
 from frasa_sysid.inspection import SignalSummary, is_bench, motions, summarise
 from frasa_sysid.readers import read_log
@@ -53,7 +54,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             _show_recording(console, recording)
     else:
         _show_groups(console, recordings)
-    _show_faults(console, recordings)
+    show_faults(console, recordings)
     _show_findings(console, recordings, found)
     by_servo = [(servo, one) for servo, several in found.items() for one in several]
     return {
@@ -144,22 +145,6 @@ def _main_signal(recording: Recording) -> Signal:
 
 def _number(value: float | None) -> str:
     return "?" if value is None else f"{value:.4g}"
-
-
-def _show_faults(console: Console, recordings: Sequence[Recording]) -> None:
-    counts: Counter[str] = Counter()
-    logs: dict[str, list[str]] = defaultdict(list)
-    example = {}
-    for recording in recordings:
-        for fault in recording.faults:
-            counts[fault.code] += fault.count
-            logs[fault.code].append(recording.name)
-            example[fault.code] = fault.message
-    console.print("[bold]Faults found and handled[/bold]" if counts else "[bold]No faults found[/bold]")
-    for code, count in sorted(counts.items()):
-        where = len(set(logs[code]))
-        more = f" (in {where} of {len(recordings)} recordings, {count} in all; one says:)" if where > 1 else ":"
-        console.print(f"  {code}{more} {example[code]}", markup=False)
 
 
 def _show_findings(console: Console, recordings: Sequence[Recording], found: Mapping[str, list[Finding]]) -> None:

@@ -9,7 +9,6 @@ import dataclasses
 import sys
 from pathlib import Path
 
-
 from frasa_sysid.fit import FitResult, fit
 from frasa_sysid.friction import Friction
 from frasa_sysid.problem import FitProblem, free_parameters, stated_servo
@@ -36,7 +35,7 @@ def fitted(name: str, recordings: list[Recording]) -> FitResult:
 def table(title: str, result: FitResult, truth: dict[str, float], law: str) -> None:
     print(f"\n{title}: mean error {result.nominal.mae_rad * 1e3:.2f} mrad nominal, {result.fitted.mae_rad * 1e3:.2f} "
           f"fitted; {result.evaluations} evaluations, {result.seconds:.0f} s")  # fmt: skip
-    print(f"{'parameter':<20}{'truth':>10}{'fitted':>10}{'error':>10}  {'95 % interval':<22}{'verdict'}")
+    print(f"{'parameter':<20}{'truth':>10}{'fitted':>10}{'error':>10}  {'95 % interval':<24}{'verdict'}")
     for one in result.evidence.estimates:
         known = truth.get(one.name)
         if one.name.endswith(".delay"):
@@ -49,7 +48,7 @@ def table(title: str, result: FitResult, truth: dict[str, float], law: str) -> N
             error = f"{(one.value - known) * 1e3:+.2f} m{one.unit}" if absolute else f"{one.value / known - 1:+.1%}"
         interval = f"{one.low:.5g} .. {one.high:.5g}"
         shown = "-" if known is None else f"{known:.5g}"
-        print(f"{one.name:<20}{shown:>10}{one.value:>10.5g}{error:>12}  {interval:<22}{one.verdict}")
+        print(f"{one.name:<20}{shown:>10}{one.value:>10.5g}{error:>12}  {interval:<24}{one.verdict}")
 
 
 def main() -> int:

@@ -37,9 +37,7 @@ CASES = (
 
 def run(*words: str) -> str:
     program = Path(sys.executable).with_name("frasa-sysid")
-    done = subprocess.run(
-        [program, *words], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, check=False
-    )
+    done = subprocess.run([program, *words], cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise SystemExit(f"frasa-sysid {' '.join(words)} ended with {done.returncode}:\n{done.stderr}")
     return done.stdout
@@ -49,10 +47,9 @@ def main() -> int:
     if not DATA.is_dir():
         print(f"skipped: no logs at {DATA}")
         return 0
-    print(
-        f"{'logs':<14}{'held out':<22}{'train':>6}{'held':>6}{'nominal':>9}{'fitted':>9}{'nominal':>10}{'fitted':>9}{'time':>8}"
-    )
-    print(f"{'':<48}{'train [mrad]':>18}{'held out [mrad]':>19}")
+    heads = ("nominal", "fitted", "nominal", "fitted", "time")
+    print(f"{'logs':<14}{'held out':<22}{'train':>6}{'held':>6}" + "".join(f"{head:>10}" for head in heads))
+    print(f"{'':<48}{'train [mrad]':>20}{'held out [mrad]':>20}")
     with tempfile.TemporaryDirectory() as folder:
         for case in CASES:
             logs = Path(folder) / case.folder
@@ -73,11 +70,8 @@ def report(name: str, rule: str, data: dict) -> None:
     cells = [errors[key]["mae_rad"] for key in ("nominal", "fitted", "held_out_nominal", "held_out")]
     text = ["-" if cell is None else f"{cell * 1e3:.2f}" for cell in cells]
     runs = data["runs"]
-    print(
-        f"{name:<14}{rule:<22}{runs['train']:>6}{runs['held_out']:>6}{text[0]:>9}{text[1]:>9}{text[2]:>10}{text[3]:>9}"
-        f"{data['seconds']:>7.0f}s",
-        flush=True,
-    )
+    numbers = "".join(f"{cell:>10}" for cell in text)
+    print(f"{name:<14}{rule:<22}{runs['train']:>6}{runs['held_out']:>6}{numbers}{data['seconds']:>9.0f}s", flush=True)
 
 
 if __name__ == "__main__":
