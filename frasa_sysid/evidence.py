@@ -25,6 +25,7 @@ from frasa_sysid.rig import BenchRun
 from frasa_sysid.rollout import BenchSimulator
 
 CORRELATION_TIME = 0.25  # [s] over which residuals of one log are taken as one sample
+_SILENT = 1.5e-4  # [rad] a tenth of an encoder count: what a move across all bounds must change to be heard
 _STEP = 1e-3  # of the unit cube, for central differences
 _ON_BOUND = 1e-3  # of the unit cube
 _VAGUE = 0.25  # half-width of an interval, as a share of the bounds, that says next to nothing
@@ -96,13 +97,16 @@ def evidence(problem: FitProblem, simulator: BenchSimulator, values: FloatArray)
     x = problem.to_unit(values)
     parts, jacobians = _linearise(problem, simulator, x)
     A, gradients = _normal_equations(parts, jacobians)
-    covariance = _covariance(A, gradients, problem.train, parts, jacobians)
+    inverse, silent = _inverse(A, len(problem.train))
+    covariance = _covariance(inverse, silent, gradients, problem.train, parts, jacobians)
     quantile = float(stats.t.ppf(0.975, max(len(problem.train) - 1, 1)))
     half = quantile * np.sqrt(np.diag(covariance))
     correlation = _correlation(covariance)
-    alone = quantile * np.sqrt(np.diag(covariance) / np.maximum(np.diag(np.linalg.pinv(A)) * np.diag(A), 1.0))
+    # Variance inflation: how much narrower each would be if all others were known.
+    inflation = np.diag(inverse + silent / _SILENT**2) * np.diag(A)
+    alone = half / np.sqrt(np.maximum(inflation, 1.0))
     estimates = tuple(_estimate(problem, i, x, half[i], alone[i], correlation[i]) for i in range(len(problem.free)))
-    return Evidence(estimates, correlation, _leave_out_spread(problem, x, A, gradients))
+    return Evidence(estimates, correlation, _leave_out_spread(problem, x, inverse, gradients))
 
 
 def _linearise(
@@ -138,19 +142,27 @@ def _normal_equations(
     return A, gradients
 
 
+def _inverse(A: FloatArray, runs: int) -> tuple[FloatArray, FloatArray]:
+    """Inverse of the curvature along the directions the logs speak of, and a projector on those they do not."""
+    eigenvalues, vectors = np.linalg.eigh(A)
+    heard = eigenvalues > runs * _SILENT**2
+    inverse = (vectors[:, heard] / eigenvalues[heard]) @ vectors[:, heard].T
+    return inverse, vectors[:, ~heard] @ vectors[:, ~heard].T
+
+
 def _covariance(
-    A: FloatArray,
+    inverse: FloatArray,
+    silent: FloatArray,
     gradients: Sequence[FloatArray],
     runs: Sequence[BenchRun],
     parts: Sequence[FloatArray],
     jacobians: Sequence[FloatArray],
 ) -> FloatArray:
     """Sandwich by log, or the spread of residuals with few effective samples where that is larger."""
-    inverse = np.linalg.pinv(A + 1e-12 * np.eye(len(A)), hermitian=True)
     count = len(gradients)
     centred = np.array(gradients) - np.mean(gradients, axis=0)
     sandwich = inverse @ (centred.T @ centred) @ inverse * count / max(count - 1, 1)
-    spread = np.zeros_like(A)
+    spread = np.zeros_like(inverse)
     for run, part, jacobian in zip(runs, parts, jacobians, strict=True):
         samples = max(run.t[-1] / CORRELATION_TIME, 1.0)
         weights = robust_weights(part)
@@ -160,7 +172,8 @@ def _covariance(
     # Scale up each parameter's row and column to the larger variance; correlations come from the larger trace.
     base = sandwich if np.trace(sandwich) >= np.trace(residual) else residual
     ratio = np.sqrt(np.maximum(np.diag(sandwich), np.diag(residual)) / np.maximum(np.diag(base), 1e-300))
-    return np.asarray(base * np.outer(ratio, ratio))
+    # Where the logs are silent (zero gradient, so zero spread) anything in the cube is possible.
+    return np.asarray(base * np.outer(ratio, ratio) + silent)
 
 
 def _correlation(covariance: FloatArray) -> FloatArray:
@@ -211,9 +224,10 @@ def _too_wide(free: FreeParameter, x: float, half: float) -> bool:
     return half * (free.high - free.low) > _RELATIVE * abs(value)
 
 
-def _leave_out_spread(problem: FitProblem, x: FloatArray, A: FloatArray, gradients: Sequence[FloatArray]) -> FloatArray:
+def _leave_out_spread(
+    problem: FitProblem, x: FloatArray, inverse: FloatArray, gradients: Sequence[FloatArray]
+) -> FloatArray:
     """Range of one-step estimates when each group is left out (infinitesimal jackknife), shape (n, 2)."""
-    inverse = np.linalg.pinv(A + 1e-12 * np.eye(len(A)), hermitian=True)
     total = np.sum(gradients, axis=0)
     estimates = [x]
     for group in sorted({run.group for run in problem.train}):
