@@ -45,7 +45,7 @@ def robust_cost(parts: Sequence[FloatArray]) -> float:
     costs = []
     for part in parts:
         scaled = np.nan_to_num(part, nan=DIVERGED, posinf=DIVERGED, neginf=DIVERGED) / ROBUST_WIDTH
-        costs.append(ROBUST_WIDTH * float(np.mean(np.sqrt(1.0 + np.minimum(scaled**2, 1e12)) - 1.0)))
+        costs.append(ROBUST_WIDTH * float(np.mean(np.sqrt(1.0 + np.clip(scaled, -1e6, 1e6) ** 2) - 1.0)))
     return float(np.mean(costs))
 
 
