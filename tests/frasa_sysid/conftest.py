@@ -1,0 +1,163 @@
+"""A pendulum bench that shares no code with frasa: 0.1 ms steps, M1 friction as a clip, and all the faults of a log."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from frasa_sysid.problem import FitProblem, free_parameters, stated_servo
+from frasa_sysid.recording import Recording, RigFacts, Signal
+from frasa_sysid.rig import BenchRun, runs_of
+from frasa_sysid.rollout import BenchSimulator
+from frasa_sysid.servo import Servo
+
+Floats = npt.NDArray[np.float64]
+COUNT = 2 * np.pi / 4096
+STEP = 1e-4
+SUPPLY, GAIN = 15.0, 12.0  # where kp and force limit are stated
+
+TRUTH = {
+    "kp": 25.0,
+    "forcerange": 6.5,
+    "damping": 1.35,
+    "damping_off": 0.12,
+    "frictionloss": 0.16,
+    "armature": 0.031,
+    "delay": 0.0073,
+    "offset": 0.011,
+}
+
+
+def chirp(t: Floats) -> Floats:
+    return np.sin(t**2)
+
+
+def steps(t: Floats) -> Floats:
+    return np.where(t % 1.4 < 0.7, 0.0, 1.3)
+
+
+def drop(t: Floats) -> Floats:
+    return -1.4 * np.clip(t / 1.2, 0, 1)
+
+
+def small(t: Floats) -> Floats:
+    return 0.05 * np.sin(4 * t)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One run of the independent bench."""
+
+    goal: Callable[[Floats], Floats] = chirp
+    mass: float = 0.5
+    length: float = 0.15
+    gain: float = 16.0
+    supply: float = 14.0
+    off_at: float = np.inf
+    duration: float = 3.2
+    seed: int = 0
+    truth: dict[str, float] = field(default_factory=lambda: dict(TRUTH))
+
+
+def measured(plan: Plan, name: str = "run", noise: bool = True) -> Recording:
+    """What a servo of known parameters would log; `noise` adds encoder, jitter of the loop and of its stamps."""
+    rng = np.random.default_rng(plan.seed)
+    truth, n = plan.truth, int(plan.duration * 100)
+    sampled = np.arange(n) * 0.01 + (rng.uniform(0, 0.0015, n) if noise else 0.0)
+    sampled[0] = 0.0
+    at = np.round(sampled / STEP).astype(int)
+    sampled = at * STEP
+    goals = plan.goal(sampled)
+    grid = np.arange(at[-1] + 1) * STEP
+    seen = np.maximum(np.searchsorted(sampled + truth["delay"], grid + 1e-9, side="right") - 1, 0)
+    held = goals[seen].tolist()
+    powered = (sampled < plan.off_at)[seen].tolist()
+    kp = truth["kp"] * plan.gain / GAIN * plan.supply / SUPPLY
+    limit = truth["forcerange"] * plan.supply / SUPPLY
+    inertia = plan.mass * plan.length**2 + truth["armature"]
+    weight = plan.mass * 9.81 * plan.length
+    q, dq, angle = 0.0, 0.0, []
+    for goal, on in zip(held, powered, strict=True):
+        angle.append(q)
+        torque = -weight * np.sin(q)
+        if on:
+            torque += min(max(kp * (goal - q - truth["offset"]), -limit), limit) - truth["damping"] * dq
+        else:
+            torque -= truth["damping_off"] * dq
+        stop = -(inertia * dq / STEP + torque)
+        dq += STEP * (torque + min(max(stop, -truth["frictionloss"]), truth["frictionloss"])) / inertia
+        q += STEP * dq
+    reading = np.array(angle)[at] + truth["offset"]
+    stamps = sampled.copy()
+    if noise:
+        reading = np.round(reading / COUNT) * COUNT
+        stamps[1:] += rng.normal(0, 0.0001, n - 1)
+    columns = {
+        "position": ("rad", reading),
+        "goal": ("rad", goals),
+        "torque_enable": ("1", (sampled < plan.off_at).astype(float)),
+        "supply_voltage": ("V", np.full(n, plan.supply)),
+    }
+    rig = RigFacts(
+        servo="mx106", mass=plan.mass, length=plan.length, firmware_gain=plan.gain, trajectory=plan.goal.__name__
+    )
+    signals = {key: Signal(key, unit, stamps, y) for key, (unit, y) in columns.items()}
+    return Recording(name, signals, rig, "simulated", f"{name}.mcap", "0" * 64, "header")
+
+
+PLANS = [
+    Plan(goal=goal, mass=mass, length=length, gain=gain, off_at=1.6 if goal is drop else np.inf, seed=i)
+    for i, (goal, mass, length, gain) in enumerate(
+        [
+            (chirp, 0.5, 0.15, 8.0),
+            (chirp, 0.5, 0.15, 32.0),
+            (chirp, 1.2, 0.15, 16.0),
+            (steps, 0.5, 0.15, 32.0),
+            (steps, 1.2, 0.15, 8.0),
+            (drop, 0.5, 0.15, 16.0),
+            (drop, 1.2, 0.15, 32.0),
+        ]
+    )
+]
+
+
+@dataclass(frozen=True)
+class BenchKit:
+    """The nominal servo, a simulator, and the way from plans to runs and problems."""
+
+    servo: Servo
+    nominal: dict[str, float]
+    simulator: BenchSimulator
+    Plan: type = Plan
+    truth: dict[str, float] = field(default_factory=lambda: dict(TRUTH))
+    goals: dict[str, Callable[[Floats], Floats]] = field(
+        default_factory=lambda: {"chirp": chirp, "steps": steps, "drop": drop, "small": small}
+    )
+
+    def recording(self, plan: Plan, name: str = "run", noise: bool = True) -> Recording:
+        return measured(plan, name, noise)
+
+    def runs(self, recordings: list[Recording]) -> list[BenchRun]:
+        return runs_of(recordings, self.servo, self.simulator.timestep)
+
+    def problem(self, runs: list[BenchRun], held_out: tuple[BenchRun, ...] = (), seed: int = 0) -> FitProblem:
+        free = free_parameters(self.servo, self.nominal, runs, self.simulator.longest_delay)
+        return FitProblem(self.servo, self.nominal, free, tuple(runs), held_out, "none", seed)
+
+
+@pytest.fixture(scope="session")
+def kit(robot_model_dir: Path) -> Iterator[BenchKit]:
+    """A bench kit for the mx106."""
+    servo, nominal = stated_servo("mx106", robot_model_dir / "nominal.xml")
+    scale = 1.0 / (servo.error_gain * servo.firmware_gain * servo.supply_voltage)
+    with BenchSimulator(robot_model_dir / "bench_pendulum.xml", scale, threads=2) as simulator:
+        yield BenchKit(servo, nominal, simulator)
+
+
+@pytest.fixture(scope="session")
+def recordings() -> list[Recording]:
+    """Seven noisy runs of one servo that is not the nominal one."""
+    return [measured(plan, f"run{i}") for i, plan in enumerate(PLANS)]
