@@ -39,7 +39,7 @@ class Settings:
     buffer: int = 300_000
     discount: float = 0.99
     n_step: int = 3
-    learning_rate: float = 1e-3
+    learning_rate: float = 5e-4
     policy_delay: int = 3
     actor: tuple[int, ...] = (128, 128)
     critic: tuple[int, ...] = (128, 128)
@@ -82,6 +82,7 @@ PRESETS = {
         batch=256,
         buffer=1_000_000,
         n_step=1,
+        learning_rate=1e-3,
         actor=(384, 256),
         critic=(384, 256),
         renorm_warmup=100_000,
