@@ -102,8 +102,8 @@ def fit(
             stop = Stop.INTERRUPTED
     tell("weighing the evidence", used, found.cost)
     weighed = evidence(problem, simulator, problem.from_unit(x))
-    values = _drop_unexcited(problem, simulator, problem.from_unit(x), weighed)
-    used += 2 * len(problem.free) + 3
+    values, more = _drop_unexcited(problem, simulator, problem.from_unit(x), weighed)
+    used += 2 * len(problem.free) + 1 + more
     weighed = _restated(weighed, values)
     pair = [problem.nominal_values(), values]
     nominal, fitted = _misfits(problem, simulator, problem.train, pair)
@@ -188,14 +188,28 @@ def _identity(problem: FitProblem, simulator: BenchSimulator, optimizer: str) ->
 
 def _drop_unexcited(
     problem: FitProblem, simulator: BenchSimulator, values: FloatArray, weighed: Evidence
-) -> FloatArray:
-    """Numbers the logs do not speak of go back to nominal, unless the cost objects."""
-    dropped = np.array(
-        [value if one.excited else one.nominal for one, value in zip(weighed.estimates, values, strict=True)]
-    )
-    readings = simulator.simulate(problem.train, [problem.servo_values(point) for point in (values, dropped)])
-    before, after = (robust_cost(residuals(problem.train, one)) for one in readings)
-    return dropped if after <= before * (1.0 + _UNEXCITED_LOSS) else values
+) -> tuple[FloatArray, int]:
+    """Numbers the logs do not speak of go back to nominal, one by one, unless the cost objects.
+
+    Returns:
+        The values, shape (n,), and the number of evaluations used.
+    """
+
+    def cost(point: FloatArray) -> float:
+        return robust_cost(
+            residuals(problem.train, simulator.simulate(problem.train, [problem.servo_values(point)])[0])
+        )
+
+    unexcited = [i for i, one in enumerate(weighed.estimates) if not one.excited]
+    if not unexcited:
+        return values, 0
+    allowed = cost(values) * (1.0 + _UNEXCITED_LOSS)
+    for i in unexcited:
+        dropped = values.copy()
+        dropped[i] = weighed.estimates[i].nominal
+        if cost(dropped) <= allowed:
+            values = dropped
+    return values, len(unexcited) + 1
 
 
 def _restated(weighed: Evidence, values: FloatArray) -> Evidence:
