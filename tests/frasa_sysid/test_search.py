@@ -9,7 +9,7 @@ CENTRE = np.array([0.31, 0.72, 0.05, 0.5])
 START = np.full(4, 0.5)
 
 
-class Killed(Exception):
+class KilledError(Exception):
     """Stands for a process that dies."""
 
 
@@ -85,8 +85,8 @@ def test_resumes_exactly(tmp_path, generations):
     """A search that was killed and started again ends where the unbroken one does, without repeating its costs."""
     path = tmp_path / "search.json"
     unbroken = search(quadratic, START, 5, 100)
-    with pytest.raises(Killed):
-        search(dying_after(generations, Killed()), START, 5, 100, path, "me")
+    with pytest.raises(KilledError):
+        search(dying_after(generations, KilledError()), START, 5, 100, path, "me")
     computed = []
 
     def costs(points):
@@ -100,7 +100,7 @@ def test_resumes_exactly(tmp_path, generations):
 def test_a_larger_budget_goes_on(tmp_path):
     """A finished search asked for more evaluations is the one that had them from the start."""
     search(quadratic, START, 5, 40, tmp_path / "a.json", "me")
-    longer = search(dying_after(20, Killed()), START, 5, 90, tmp_path / "a.json", "me")
+    longer = search(dying_after(20, KilledError()), START, 5, 90, tmp_path / "a.json", "me")
     assert_same(longer, search(quadratic, START, 5, 90))
 
 
