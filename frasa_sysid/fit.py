@@ -96,8 +96,9 @@ def fit(
     if optimizer == "cmaes+lsq" and stop is not Stop.INTERRUPTED:
         tell("finishing", used, found.cost)
         try:
-            x, more = finish(problem, simulator, x)
-            used += more
+            finished = finish(problem, simulator, x)
+            x, used = finished.x, used + finished.evaluations
+            stop = Stop.FINISHED if finished.converged else stop
         except KeyboardInterrupt:
             stop = Stop.INTERRUPTED
     tell("weighing the evidence", used, found.cost)

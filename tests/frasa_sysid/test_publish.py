@@ -1,0 +1,242 @@
+import json
+import shutil
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from frasa_sysid import fit_file
+from frasa_sysid.calibration import CalibrationError, calibration_id, load_calibration, load_model, parameter, read
+from frasa_sysid.errors import InputError, ModelError, QualityError
+from frasa_sysid.publish import check_replay, find_fits, publish, write
+
+FITTED = {
+    "mx106": {"kp": 24.9, "forcerange": 7.77, "damping": 1.1, "frictionloss": 1e-5, "armature": 0.03, "delay": 0.0071},
+    "mx64": {"kp": 1 / 3, "forcerange": 4.25, "damping": 0.5, "frictionloss": 0.1, "armature": 0.0125, "delay": 0.0},
+}
+
+
+def fit_of(servo, folder, **changes):
+    """A fit file with fitted numbers, intervals of 10 % and some correlation."""
+    values = FITTED[servo] | changes
+    parameters = {
+        f"{servo}.{field}": {
+            "value": value,
+            "unit": parameter(f"{servo}.{field}").unit,
+            "low": 0.9 * value,
+            "high": 1.1 * value,
+            "spread_low": 0.95 * value,
+            "spread_high": 1.3 * value,
+            "verdict": "identified",
+        }
+        for field, value in values.items()
+    }
+    parameters["bench.offset"] = dict(parameters[f"{servo}.kp"], value=-0.01, low=-0.02, high=0.0, unit="rad")
+    names = list(parameters)
+    matrix = 0.5 * np.ones((len(names),) * 2) + 0.5 * np.eye(len(names))
+    data = {
+        "schema": fit_file.SCHEMA,
+        "servo": servo,
+        "origin": "simulated",
+        "stated_at": {"supply_voltage": 15.0, "firmware_gain": 12.0},
+        "parameters": parameters,
+        "correlation": {"names": names, "matrix": matrix.tolist()},
+        "inputs": {f"{servo}.mcap": "0" * 64},
+    }
+    path = folder / f"{servo}.json"
+    path.write_text(json.dumps(data))
+    return fit_file.load(path)
+
+
+@pytest.fixture
+def model_dir(robot_model_dir, tmp_path):
+    """A copy of the nominal robot model in a folder of its own."""
+    folder = tmp_path / "robot_model"
+    folder.mkdir()
+    for path in robot_model_dir.glob("*.xml"):
+        if path.name != "calibrated.xml":
+            shutil.copy(path, folder)
+    return folder
+
+
+@pytest.fixture
+def fits(tmp_path):
+    """Fits of both servos."""
+    return [fit_of(servo, tmp_path) for servo in ("mx106", "mx64")]
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_compiled_numbers_are_the_fitted_ones(model_dir, fits):
+    """Every actuator of a class holds its fit's numbers to the last bit; everything else is as in the nominal model."""
+    out = model_dir / "calibrated.xml"
+    write(publish(fits, model_dir / "nominal.xml", out), fits, model_dir / "nominal.xml", out)
+    model, nominal = load_model(out), load_model(model_dir / "nominal.xml")
+    for stored in fits:
+        for name, one in fit_file.model_parameters(stored).items():
+            assert read(model, name) == one["value"]
+    assert calibration_id(model) is not None
+    for field in ("nq", "nu", "nsensor", "ngeom", "nkey"):
+        assert getattr(model, field) == getattr(nominal, field)
+    for field in ("body_mass", "geom_size", "jnt_range", "key_qpos", "actuator_history", "sensor_delay"):
+        np.testing.assert_array_equal(getattr(model, field), getattr(nominal, field))
+    assert model.opt.timestep == nominal.opt.timestep
+
+
+def test_same_input_same_bytes(model_dir, fits):
+    """Publishing twice, in any order of the fits, gives the same bytes, and leaves the nominal files as they were."""
+    before, made = contents(model_dir), []
+    out = model_dir / "calibrated.xml"
+    for order in (fits, fits[::-1]):
+        write(publish(order, model_dir / "nominal.xml", out), order, model_dir / "nominal.xml", out)
+        after = contents(model_dir)
+        made.append({name: after.pop(name) for name in ("calibrated.xml", "randomization.yaml")})
+        assert after == before
+    assert made[0] == made[1]
+
+
+def test_another_fit_is_another_id(model_dir, fits, tmp_path):
+    """The id changes with any number; model and ranges carry the same one."""
+    nominal, out = model_dir / "nominal.xml", model_dir / "calibrated.xml"
+    ids = {publish(fits, nominal, out).calibration.id, publish(fits[:1], nominal, out).calibration.id}
+    ids.add(publish([fit_of("mx106", tmp_path, kp=24.9000001), fits[1]], nominal, out).calibration.id)
+    assert len(ids) == 3
+    write(publish(fits, nominal, out), fits, nominal, out)
+    assert load_calibration(out).id == calibration_id(load_model(out)) in ids
+
+
+def test_ranges_hold_interval_spread_and_floor(model_dir, fits):
+    """A range is the union of interval, leave-one-out spread and floor; the bench's own numbers have none."""
+    calibration = publish(fits, model_dir / "nominal.xml", model_dir / "calibrated.xml").calibration
+    assert set(calibration.ranges) == {f"{servo}.{field}" for servo in FITTED for field in FITTED[servo]}
+    one = calibration.ranges["mx106.kp"]
+    assert (one.low, one.value, one.high) == (0.9 * 24.9, 24.9, 1.3 * 24.9)
+    assert "simulated" in one.origin
+    delay = calibration.ranges["mx64.delay"]
+    assert (delay.low, delay.value, delay.high) == (0.0, 0.0, 0.0005)
+    names = list(calibration.correlated)
+    i, j, k = names.index("mx106.kp"), names.index("mx106.damping"), names.index("mx64.kp")
+    assert calibration.correlation[i, j] == 0.5
+    assert calibration.correlation[i, k] == 0.0
+
+
+def test_unexcited_numbers_get_no_range(model_dir, fits):
+    """What the logs do not speak of has no measured range, but keeps its place in the model."""
+    first = fits[0]
+    parameters = {name: dict(one) for name, one in first.parameters.items()}
+    parameters["mx106.forcerange"]["verdict"] = "not excited"
+    published = publish(
+        [replace(first, parameters=parameters)], model_dir / "nominal.xml", model_dir / "calibrated.xml"
+    )
+    assert "mx106.forcerange" not in published.calibration.ranges
+    assert "mx106.forcerange" not in published.calibration.correlated
+    assert 'forcerange="-7.77 7.77"' in published.xml
+
+
+def test_another_folder_still_compiles(model_dir, fits, tmp_path):
+    """A model published elsewhere finds the nominal parts from there."""
+    out = tmp_path / "else" / "where" / "robot.xml"
+    write(publish(fits, model_dir / "nominal.xml", out), fits, model_dir / "nominal.xml", out)
+    assert load_model(out).nu == load_model(model_dir / "nominal.xml").nu
+    assert load_calibration(out).values()["mx64.forcerange"] == 4.25
+    assert [path.name for path in sorted(out.parent.iterdir())] == ["randomization.yaml", "robot.xml"]
+
+
+def test_two_fits_of_one_parameter(model_dir, fits, tmp_path):
+    """Two fits that claim the same number are an error, and so is no fit at all."""
+    other = fit_of("mx106", tmp_path, kp=20.0)
+    for bad, complaint in ([[fits[0], other], "two fits claim mx106"], [[], "no parameter"]):
+        with pytest.raises(CalibrationError, match=complaint):
+            publish(bad, model_dir / "nominal.xml", model_dir / "calibrated.xml")
+
+
+@pytest.mark.parametrize("key", ["supply_voltage", "firmware_gain"])
+def test_stated_elsewhere(model_dir, fits, key):
+    """A fit whose gain holds at another supply or firmware gain is refused, not scaled in silence."""
+    other = replace(fits[0], stated={**fits[0].stated, key: 11.0})
+    with pytest.raises(CalibrationError, match=key):
+        publish([other], model_dir / "nominal.xml", model_dir / "calibrated.xml")
+
+
+@pytest.mark.parametrize("name", ["nominal.xml", "servos_nominal.xml", "sigmaban.xml", "../robot_model/floor.xml"])
+def test_the_nominal_model_is_never_overwritten(model_dir, fits, name):
+    """No file of the nominal model can be the output, whatever it is called on the command line."""
+    with pytest.raises(ModelError, match="part of the nominal model"):
+        publish(fits, model_dir / "nominal.xml", model_dir / name)
+
+
+def test_only_nominal_models_are_published_from(model_dir, fits, tmp_path):
+    """A calibrated model, one without the class, one without its supply, and no model are refused."""
+    nominal, out = model_dir / "nominal.xml", model_dir / "calibrated.xml"
+    write(publish(fits, nominal, out), fits, nominal, out)
+    with pytest.raises(ModelError, match="calibrated already"):
+        publish(fits, out, tmp_path / "twice.xml")
+    with pytest.raises(ModelError, match="no servo class 'mx64'"):
+        publish(fits, model_dir / "bench_pendulum.xml", out)
+    with pytest.raises(ModelError, match="no model at"):
+        publish(fits, tmp_path / "none.xml", out)
+    text = (model_dir / "servos_nominal.xml").read_text().replace("servo_supply_voltage", "volts")
+    (model_dir / "servos_nominal.xml").write_text(text)
+    with pytest.raises(ModelError, match="servo_supply_voltage"):
+        publish(fits, nominal, out)
+
+
+def test_a_number_that_was_altered(model_dir, fits):
+    """Text that does not compile to the fitted numbers is not published; the old files stay."""
+    nominal, out = model_dir / "nominal.xml", model_dir / "calibrated.xml"
+    published = publish(fits, nominal, out)
+    write(published, fits, nominal, out)
+    before = contents(model_dir)
+    for old, new in (('kp="24.9"', 'kp="24.90001"'), (published.calibration.id, "0" * 16)):
+        with pytest.raises(QualityError, match="nothing was published"):
+            write(replace(published, xml=published.xml.replace(old, new)), fits, nominal, out)
+        assert contents(model_dir) == before
+
+    def refuse(model):
+        assert isinstance(model, mujoco.MjModel)
+        raise QualityError("no")
+
+    with pytest.raises(QualityError, match="no"):
+        write(publish(fits[:1], nominal, out), fits[:1], nominal, out, refuse)
+    assert contents(model_dir) == before
+
+
+def test_a_delay_longer_than_the_history(model_dir, tmp_path):
+    """A delay that MuJoCo would cut in silence is refused."""
+    long = [fit_of("mx106", tmp_path, delay=0.04)]
+    nominal, out = model_dir / "nominal.xml", model_dir / "calibrated.xml"
+    with pytest.raises(ModelError, match="does not fit"):
+        write(publish(long, nominal, out), long, nominal, out)
+    assert not out.exists()
+
+
+def test_words_of_a_stranger(model_dir, fits):
+    """Text in a fit file cannot break out of the comment it is quoted in."""
+    odd = replace(fits[0], origin="--><worldbody/><!-- real --")
+    published = publish([odd], model_dir / "nominal.xml", model_dir / "calibrated.xml")
+    write(published, [odd], model_dir / "nominal.xml", model_dir / "calibrated.xml")
+    assert "<worldbody/>" not in published.xml.replace("- -><worldbody/>", "")
+
+
+def test_replay_check():
+    """A tenth of a milliradian passes, more does not, and neither does a run that diverged, wherever it stands."""
+    fitted = [np.zeros(3), np.zeros(2)]
+    assert check_replay(fitted, [np.full(3, 9e-5), np.zeros(2)]) == pytest.approx(9e-5)
+    for bad in (1.1e-4, np.nan):
+        for i in (0, 1):
+            other = [one.copy() for one in fitted]
+            other[i][-1] = bad
+            with pytest.raises(QualityError, match="away from the fit"):
+                check_replay(fitted, other)
+
+
+def test_fits_of_a_folder(tmp_path):
+    """Fit files are found in order of name, checkpoints of running fits are not; none is an error."""
+    with pytest.raises(InputError, match="no fit files"):
+        find_fits(tmp_path)
+    for name in ("b.json", "a.json", "c.partial.json", "a.html"):
+        (tmp_path / name).touch()
+    assert [path.name for path in find_fits(tmp_path)] == ["a.json", "b.json"]
