@@ -5,6 +5,7 @@ them in one go (field measurement: a third of the evaluations, a hundredth of th
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -19,18 +20,31 @@ _INSIDE = 1e-6  # least_squares wants a start strictly inside its bounds
 _ITERATIONS = 15
 
 
-def finish(problem: FitProblem, simulator: BenchSimulator, x: FloatArray) -> tuple[FloatArray, int]:
+@dataclass(frozen=True)
+class Finished:
+    """Outcome of the finisher.
+
+    Attributes:
+        x: the better of start and end, a point of the unit cube, shape (n,).
+        evaluations: candidates simulated.
+        converged: False when it ran out of iterations.
+    """
+
+    x: FloatArray
+    evaluations: int
+    converged: bool
+
+
+def finish(problem: FitProblem, simulator: BenchSimulator, x: FloatArray) -> Finished:
     """Polish a point of the unit cube on all training runs.
 
     Args:
         problem: its training runs are fitted with the same loss as the search's.
         simulator: simulates them.
         x: start, shape (n,).
-
-    Returns:
-        The better of start and end, shape (n,), and the number of evaluations used.
     """
     used = 0
+    latest: tuple[FloatArray, FloatArray] | None = None
 
     def stacked(points: Sequence[FloatArray]) -> list[FloatArray]:
         nonlocal used
@@ -42,11 +56,14 @@ def finish(problem: FitProblem, simulator: BenchSimulator, x: FloatArray) -> tup
     def jacobian(point: FloatArray) -> FloatArray:
         # Steps away from the nearer face, so that every point stays inside the box.
         steps = np.where(point > 0.5, -_STEP, _STEP)
-        base, *moved = stacked([point, *(point + np.diag(steps))])
+        moved = stacked(list(point + np.diag(steps)))
+        base = latest[1] if latest is not None and np.array_equal(latest[0], point) else vector(point)
         return np.column_stack([(one - base) / step for one, step in zip(moved, steps, strict=True)])
 
     def vector(point: FloatArray) -> FloatArray:
-        return stacked([point])[0]
+        nonlocal latest
+        latest = (point.copy(), stacked([point])[0])
+        return latest[1]
 
     found = least_squares(
         vector,
@@ -61,7 +78,7 @@ def finish(problem: FitProblem, simulator: BenchSimulator, x: FloatArray) -> tup
     )
     pair = simulator.simulate(problem.train, [problem.servo_values(problem.from_unit(point)) for point in (x, found.x)])
     before, after = (robust_cost(residuals(problem.train, readings)) for readings in pair)
-    return (np.asarray(found.x) if after < before else x), used + 2
+    return Finished(np.asarray(found.x) if after < before else x, used + 2, found.status > 0)
 
 
 def _rooted(parts: Sequence[FloatArray]) -> FloatArray:

@@ -29,6 +29,7 @@ class Stop(Enum):
 
     CONVERGED = "converged: no generation improved the best by 0.02 % for 12 generations"
     BUDGET = "budget: the number of evaluations was used up; more may improve it (--evaluations)"
+    FINISHED = "converged: least squares settled from the best of CMA-ES"
     INTERRUPTED = "interrupted by the user; the best so far is kept"
 
 

@@ -23,16 +23,16 @@ class Case:
     pattern: str
     form: str
     extra: tuple[str, ...]
-    facts: tuple[str, ...]
     rules: tuple[str, ...]
 
 
+RIGS = ("--rig-table", "sts3215/bench_configs.csv")
 CASES = (
-    Case("sts3215", "*.json.gz", "bam", ("--rig-table", "sts3215/bench_configs.csv"), (), ("none", "kp=24", "mass=0.969")),
-    Case("xl330", "*.json.gz", "bam", (), (), ("none", "kp=400")),
-    Case("sts3250_bam", "*.json.gz", "bam", (), (), ("none", "trajectory=sin_sin")),
-    Case("mx64_dynaban", "completeTest.gz", "dynaban", ("--servo", "mx64"), (), ("none",)),
-)  # fmt: skip
+    Case("sts3215", "*.json.gz", "bam", RIGS, ("none", "kp=24", "mass=0.969")),
+    Case("xl330", "*.json.gz", "bam", (), ("none", "kp=400")),
+    Case("sts3250_bam", "*.json.gz", "bam", (), ("none", "trajectory=sin_sin")),
+    Case("mx64_dynaban", "completeTest.gz", "dynaban", ("--servo", "mx64"), ("none",)),
+)
 
 
 def run(*words: str) -> str:
@@ -58,9 +58,7 @@ def main() -> int:
             run("import", *sources, "--format", case.form, "--out", str(logs), *extra)
             for rule in case.rules:
                 out = str(Path(folder) / "fit.json")
-                data = json.loads(
-                    run("fit", str(logs), *case.facts, "--hold-out", rule, "--out", out, "--no-report", "--json")
-                )
+                data = json.loads(run("fit", str(logs), "--hold-out", rule, "--out", out, "--no-report", "--json"))
                 report(case.folder, rule, data)
     return 0
 
