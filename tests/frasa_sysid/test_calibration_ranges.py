@@ -133,7 +133,7 @@ def test_model_and_ranges_belong_together(tmp_path):
     ranges.write_text(yaml.safe_dump(calibration().to_dict()))
     assert load_calibration(model).id == "0123"
     model.write_text(MODEL.format("4567"))
-    with pytest.raises(CalibrationError, match="0123.*4567"):
+    with pytest.raises(CalibrationError, match=r"0123.*4567"):
         load_calibration(model)
     model.write_text("<mujoco/>")
     assert load_calibration(model) is None
