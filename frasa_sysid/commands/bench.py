@@ -39,8 +39,9 @@ class Bench:
 
     @property
     def inputs(self) -> dict[str, str]:
-        """sha256 by source file name."""
-        return {one.source: one.sha256 for one in (*self.train, *self.held_out)}
+        """sha256 by source file, as it was given; of an absolute path the name, for a fit is no map of a machine."""
+        sources = {one.source: one.sha256 for one in (*self.train, *self.held_out)}
+        return {Path(name).name if Path(name).is_absolute() else name: digest for name, digest in sources.items()}
 
     @property
     def origin(self) -> str:
