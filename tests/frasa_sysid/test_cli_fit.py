@@ -1,0 +1,271 @@
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from frasa_sysid.calibration import load_calibration, load_model, read, run_command
+from frasa_sysid.cli import build_parser
+from frasa_sysid.readers import read_log
+from frasa_sysid.recording import Signal
+from frasa_sysid.writer import write_mcap
+
+KEYS = {"schema", "servo", "friction", "parameters", "mujoco", "misfit", "evaluations", "seconds", "seed", "outputs"}
+
+
+def frasa(*words):
+    return run_command(build_parser(), [str(word) for word in words])
+
+
+def cut(recording, end):
+    """The first seconds of a run."""
+    signals = {
+        name: Signal(name, one.unit, one.t[one.t < end], one.y[one.t < end]) for name, one in recording.signals.items()
+    }
+    return replace(recording, signals=signals)
+
+
+@pytest.fixture(scope="session")
+def few(robot_model_dir):
+    """Four short runs of the project's own bench log: two trajectories at two gains."""
+    every = read_log(robot_model_dir.parent / "bench_logs" / "mx64.mcap")
+    chosen = [
+        one
+        for one in every
+        if one.rig.mass == 0.31 and one.rig.firmware_gain != 16.0 and one.rig.trajectory in ("lift_and_drop", "sin_sin")
+    ]
+    assert len(chosen) == 4
+    return [cut(one, 2.6) for one in chosen]
+
+
+@pytest.fixture
+def place(robot_model_dir, tmp_path, few):
+    """A copy of the nominal robot model, and a log beside it."""
+    folder = tmp_path / "robot_model"
+    folder.mkdir()
+    for path in robot_model_dir.glob("*.xml"):
+        if path.name != "calibrated.xml":
+            shutil.copy(path, folder)
+    write_mcap(tmp_path / "few.mcap", few)
+    return tmp_path
+
+
+def fit_words(place, *more, log="few.mcap"):
+    log = place / log if isinstance(log, str) else log
+    return ["fit", log, "--model", place / "robot_model" / "nominal.xml", "--evaluations", 20, *more]
+
+
+def test_fit_and_publish(place, capsys):
+    """One command from a log to a calibrated model: everything promised is printed, everything named exists."""
+    before = (place / "robot_model" / "nominal.xml").read_bytes()
+    assert frasa(*fit_words(place, "--publish", "--json", "--hold-out", "kp=8")) == 0
+    out, err = capsys.readouterr()
+    result = json.loads(out)
+    assert result.keys() >= KEYS
+    assert (result["schema"], result["servo"], result["friction"], result["seed"]) == ("frasa.fit/1", "mx64", "m1", 0)
+    for one in result["parameters"].values():
+        assert one.keys() >= {"value", "unit", "low", "high", "verdict"}
+        assert one["low"] <= one["value"] <= one["high"]
+    assert set(result["mujoco"]) == {"kp", "damping", "frictionloss", "armature", "forcerange", "delay"}
+    for kind in ("nominal", "fitted", "held_out"):
+        assert set(result["misfit"][kind]) == {"mae_rad", "rmse_rad"}
+    assert result["misfit"]["fitted"]["mae_rad"] < 0.5 * result["misfit"]["nominal"]["mae_rad"]
+    assert result["evaluations"] >= 20
+    assert result["seconds"] > 0
+    paths = {name: place / path for name, path in result["outputs"].items()}
+    assert set(paths) == {"fit", "model", "ranges", "report"}
+    assert all(path.is_file() for path in paths.values())
+    model = load_model(paths["model"])
+    for field, value in result["mujoco"].items():
+        assert read(model, f"mx64.{field}") == value
+    calibration = load_calibration(paths["model"])
+    assert all(calibration.values()[name] == result["parameters"][name]["value"] for name in calibration.ranges)
+    assert (place / "robot_model" / "nominal.xml").read_bytes() == before
+    assert "replays the 4 runs" in err
+    assert not list(place.rglob("*.partial.json"))
+    page = paths["report"].read_text()
+    assert len(page) < 5_000_000
+    assert "http" not in page
+
+    assert frasa("compare", place / "few.mcap", "--model", paths["model"], "--json") == 0
+    compared = json.loads(capsys.readouterr().out)
+    assert compared["misfit"].keys() >= {"mae_rad", "rmse_rad"}
+    assert compared["candidates"]["nominal"]["mae_rad"] > compared["misfit"]["mae_rad"]
+    by_run = compared["misfit"]["by_log"]
+    fitted = json.loads(paths["fit"].read_text())["by_run"]
+    assert by_run == pytest.approx({**fitted["fitted"], **fitted["held_out"]}, abs=1e-9)
+
+
+def test_same_seed_same_bytes(place, capsys):
+    """The fit file is a function of logs, model and seed: no clock, no folder, no leftovers."""
+    made = []
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        out = place / name / "mx64.json"
+        words = fit_words(place, "--no-report", "--optimizer", "cmaes", "--seed", seed, "--out", out, "--threads", 2)
+        assert frasa(*words) == 0
+        made.append(out.read_bytes())
+        assert [path.name for path in out.parent.iterdir()] == ["mx64.json"]
+    assert made[0] == made[1] != made[2]
+    assert str(place).encode() not in made[0]
+    assert capsys.readouterr().out == ""
+
+
+def altered(few, **signals):
+    """The runs with signals replaced by what a function makes of their values, or removed."""
+    made = []
+    for one in few:
+        kept = dict(one.signals)
+        for name, change in signals.items():
+            old = kept.pop(name)
+            if change is not None:
+                kept[name] = Signal(name, old.unit, old.t, change(old.y))
+        made.append(replace(one, signals=kept))
+    return made
+
+
+def with_rig(few, **facts):
+    return [replace(one, rig=replace(one.rig, **facts)) for one in few]
+
+
+BAD_LOGS = {
+    "without a goal": (lambda few: altered(few, goal=None), "no 'goal' signal"),
+    "without a position": (lambda few: altered(few, position=None), "no 'position' signal"),
+    "without firmware gain": (lambda few: with_rig(few, firmware_gain=None), "--firmware-gain"),
+    "without a load": (lambda few: with_rig(few, mass=None), "--mass"),
+    "without a servo": (lambda few: with_rig(few, servo=None), "--servo"),
+    "of two servos": (lambda few: [few[0], *with_rig(few[1:], servo="mx106")], "--servo"),
+}
+
+
+@pytest.mark.parametrize("what", BAD_LOGS)
+def test_a_bad_log_is_one_line(place, few, capsys, what):
+    """A log that lacks something ends with exit 3 and one line that says what to do; nothing is written."""
+    make, complaint = BAD_LOGS[what]
+    write_mcap(place / "bad.mcap", make(few))
+    assert frasa(*fit_words(place, log="bad.mcap")) == 3
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert complaint in err
+    assert not (place / "robot_model" / "fits").exists()
+
+
+def test_degrees_are_not_radians(place, few, capsys):
+    """A log in degrees does not fit in silence."""
+    degrees = altered(few, position=np.degrees, goal=np.degrees)
+    write_mcap(place / "bad.mcap", degrees)
+    status = frasa(*fit_words(place, log="bad.mcap"))
+    err = capsys.readouterr().err
+    assert status == 3
+    assert err.count("\n") == 1
+    assert "deg" in err
+
+
+@pytest.mark.parametrize("content", [None, b"", b"text", b"\x89MCAP0\r\n"])
+def test_a_file_that_is_no_log(place, capsys, content):
+    """A missing, empty, foreign or cut-off file ends with exit 3 and one line."""
+    if content is not None:
+        (place / "bad.mcap").write_bytes(content)
+    assert frasa(*fit_words(place, log="bad.mcap")) == 3
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "complaint"),
+    [
+        (["--servo", "mx28"], 2, "unknown servo"),
+        (["--hold-out", "speed"], 2, "--hold-out"),
+        (["--seed", -1], 2, "--seed"),
+        (["--seed", 2**32], 2, "--seed"),
+        (["--threads", -1], 2, "--threads"),
+        (["--evaluations", 0], 2, "--evaluations"),
+        (["--publish", "--servo", "xl330"], 2, "no servo class"),
+        (["--publish", "--out", "elsewhere.json"], 2, "elsewhere"),
+        (["--model", "typo.xml"], 3, "no model at"),
+        (["--bench-model", "typo.xml"], 3, "no model at"),
+        (["--bench-model", "NOMINAL"], 3, "one hinge"),
+        (["--out", "few.mcap/fits/a.json"], 1, "cannot use"),
+    ],
+)
+def test_a_bad_word_is_one_line(place, capsys, monkeypatch, words, status, complaint):
+    """Wrong options and models end with their exit status and one last line, before any fitting."""
+    monkeypatch.chdir(place)
+    words = [place / "robot_model" / "nominal.xml" if word == "NOMINAL" else word for word in words]
+    assert frasa(*fit_words(place, *words)) == status
+    err = capsys.readouterr().err.strip().splitlines()
+    assert complaint in err[-1]
+    assert len(err) == 1 or status == 1
+    assert not any("Traceback" in line for line in err)
+
+
+def test_the_same_log_twice(place, capsys):
+    """A log given twice would count twice: it is refused, though the paths differ."""
+    shutil.copytree(place / "robot_model", place / "copy")
+    shutil.copy(place / "few.mcap", place / "copy")
+    first, *rest = fit_words(place)
+    assert frasa(first, place / "copy" / "few.mcap", *rest) == 3
+    assert "come twice" in capsys.readouterr().err
+
+
+def test_compare_keeps_namesakes_apart(place, capsys):
+    """Two models of one file name are two candidates."""
+    for name in ("a", "b"):
+        shutil.copytree(place / "robot_model", place / name)
+    words = [word for name in ("a", "b") for word in ("--with-model", place / name / "nominal.xml")]
+    model = place / "robot_model" / "nominal.xml"
+    assert frasa("compare", place / "few.mcap", "--model", model, *words, "--json") == 0
+    found = json.loads(capsys.readouterr().out)["candidates"]
+    assert len(found) == 3
+    assert len({one["mae_rad"] for one in found.values()}) == 1
+
+
+def test_publish_command(place, capsys):
+    """Broken and missing fit files, and an output that is the nominal model, are one line each."""
+    (place / "a.json").write_text("{}")
+    model = place / "robot_model" / "nominal.xml"
+    for word in ("a.json", "none.json"):
+        assert frasa("publish", place / word, "--model", model) == 3
+        assert capsys.readouterr().err.count("\n") == 1
+    assert not (place / "robot_model" / "calibrated.xml").exists()
+
+
+def test_simulate_command(tmp_path, capsys):
+    """A simulated log says where it lies and what is true; bad words are usage errors."""
+    assert frasa("simulate", "--servo", "mx64", "--out", tmp_path / "a.mcap", "--delay", "0.004", "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["truth"]["mx64.delay"] == 0.004
+    assert result["runs"] == len(read_log(tmp_path / "a.mcap")) == 36
+    for words in (["--delay", "1"], ["--delay", "nan"], ["--seed", "-1"]):
+        assert frasa("simulate", "--servo", "mx64", "--out", tmp_path / "b.mcap", *words) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "b.mcap").exists()
+
+
+def test_ctrl_c_saves_the_best(place):
+    """SIGINT while searching: exit 130, a fit file of the best so far, and a checkpoint to go on from."""
+    words = fit_words(place, "--evaluations", 1_000_000, "--optimizer", "cmaes", "--no-report")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "frasa_sysid.cli", *map(str, words)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A test run in the background of a shell ignores SIGINT, and so would its children.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    fits = place / "robot_model" / "fits"
+    deadline = time.monotonic() + 60
+    while not (fits / "mx64.partial.json").exists() and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.05)
+    os.kill(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert json.loads((fits / "mx64.json").read_text())["stop"] == "interrupted"
+    assert (fits / "mx64.partial.json").is_file()
+    assert not (place / "robot_model" / "calibrated.xml").exists()
