@@ -62,6 +62,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise UsageError(f"--seed {args.seed}: expected 0 to 2^32 - 1")
     bench = load_bench(args, args.hold_out)
     out = args.out or args.model.parent / "fits" / f"{bench.servo.name}.json"
+    if out.suffix != ".json":
+        raise UsageError(f"--out {out}: expected a name that ends in .json")
     if args.publish:
         _check_publishable(args, bench, out)
     with bench.simulator(bench_model(args), args.threads) as simulator:
@@ -121,6 +123,11 @@ def _check_publishable(args: argparse.Namespace, bench: Bench, out: Path) -> Non
         )
     if out.parent.resolve() != (args.model.parent / "fits").resolve():
         raise UsageError(f"--publish takes every fit of {args.model.parent / 'fits'}; --out {out} is elsewhere")
+    for path in sorted(out.parent.glob("*.json")):
+        if path.name == out.name or path.name.endswith(".partial.json"):
+            continue
+        if fit_file.load(path).servo == bench.servo.name:
+            raise UsageError(f"--publish: {path} is a fit of {bench.servo.name} too; remove it, or give --out {path}")
 
 
 def _publish(args: argparse.Namespace, out: Path, result: FitResult, simulator: BenchSimulator) -> tuple[Path, Path]:

@@ -191,6 +191,7 @@ def test_a_file_that_is_no_log(place, capsys, content):
         (["--bench-model", "typo.xml"], 3, "no model at"),
         (["--bench-model", "NOMINAL"], 3, "one hinge"),
         (["--out", "few.mcap/fits/a.json"], 1, "cannot use"),
+        (["--out", "page.html"], 2, ".json"),
     ],
 )
 def test_a_bad_word_is_one_line(place, capsys, monkeypatch, words, status, complaint):
@@ -211,6 +212,23 @@ def test_the_same_log_twice(place, capsys):
     first, *rest = fit_words(place)
     assert frasa(first, place / "copy" / "few.mcap", *rest) == 3
     assert "come twice" in capsys.readouterr().err
+
+
+def test_other_fits_are_looked_at_first(place, capsys):
+    """A broken fit beside the one to be published, or another of the same servo, is said before fitting."""
+    fits = place / "robot_model" / "fits"
+    fits.mkdir()
+    (fits / "other.json").write_text("{}")
+    assert frasa(*fit_words(place, "--publish")) == 3
+    assert "other.json" in capsys.readouterr().err
+    (fits / "other.json").unlink()
+    assert frasa(*fit_words(place, "--no-report", "--optimizer", "cmaes")) == 0
+    (fits / "mx64.json").rename(fits / "other.json")
+    capsys.readouterr()
+    assert frasa(*fit_words(place, "--publish")) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "a fit of mx64 too" in err
 
 
 def test_compare_keeps_namesakes_apart(place, capsys):
