@@ -25,7 +25,8 @@ from frasa_sysid.rig import BenchRun
 from frasa_sysid.rollout import BenchSimulator
 
 CORRELATION_TIME = 0.25  # [s] over which residuals of one log are taken as one sample
-_SILENT = 1.5e-4  # [rad] a tenth of an encoder count: what a move across all bounds must change to be heard
+ON_BOUND = "on its bound"
+_BOX_VARIANCE = 1.0 / 12.0  # of a number about which only the bounds are known, in the unit cube
 _STEP = 1e-3  # of the unit cube, for central differences
 _ON_BOUND = 1e-3  # of the unit cube
 _VAGUE = 0.25  # half-width of an interval, as a share of the bounds, that says next to nothing
@@ -97,14 +98,14 @@ def evidence(problem: FitProblem, simulator: BenchSimulator, values: FloatArray)
     x = problem.to_unit(values)
     parts, jacobians = _linearise(problem, simulator, x)
     A, gradients = _normal_equations(parts, jacobians)
-    inverse, silent = _inverse(A, len(problem.train))
-    covariance = _covariance(inverse, silent, gradients, problem.train, parts, jacobians)
+    spread = _residual_spread(problem.train, parts, jacobians)
+    inverse, silent = _inverse(A, spread)
+    covariance = _covariance(inverse, silent, gradients, spread)
     quantile = float(stats.t.ppf(0.975, max(len(problem.train) - 1, 1)))
     half = quantile * np.sqrt(np.diag(covariance))
     correlation = _correlation(covariance)
-    # Variance inflation: how much narrower each would be if all others were known.
-    inflation = np.diag(inverse + silent / _SILENT**2) * np.diag(A)
-    alone = half / np.sqrt(np.maximum(inflation, 1.0))
+    # How wide each interval would be if all the other numbers were known.
+    alone = np.minimum(half, quantile * np.sqrt(_noise(A, spread) / np.maximum(np.diag(A), 1e-300)))
     estimates = tuple(_estimate(problem, i, x, half[i], alone[i], correlation[i]) for i in range(len(problem.free)))
     return Evidence(estimates, correlation, _leave_out_spread(problem, x, inverse, gradients))
 
@@ -142,37 +143,47 @@ def _normal_equations(
     return A, gradients
 
 
-def _inverse(A: FloatArray, runs: int) -> tuple[FloatArray, FloatArray]:
-    """Inverse of the curvature along the directions the logs speak of, and a projector on those they do not."""
-    eigenvalues, vectors = np.linalg.eigh(A)
-    heard = eigenvalues > runs * _SILENT**2
-    inverse = (vectors[:, heard] / eigenvalues[heard]) @ vectors[:, heard].T
-    return inverse, vectors[:, ~heard] @ vectors[:, ~heard].T
-
-
-def _covariance(
-    inverse: FloatArray,
-    silent: FloatArray,
-    gradients: Sequence[FloatArray],
-    runs: Sequence[BenchRun],
-    parts: Sequence[FloatArray],
-    jacobians: Sequence[FloatArray],
+def _residual_spread(
+    runs: Sequence[BenchRun], parts: Sequence[FloatArray], jacobians: Sequence[FloatArray]
 ) -> FloatArray:
-    """Sandwich by log, or the spread of residuals with few effective samples where that is larger."""
-    count = len(gradients)
-    centred = np.array(gradients) - np.mean(gradients, axis=0)
-    sandwich = inverse @ (centred.T @ centred) @ inverse * count / max(count - 1, 1)
-    spread = np.zeros_like(inverse)
+    """Covariance of the gradient from the residuals' own size, one sample per `CORRELATION_TIME`, (n, n)."""
+    spread = np.zeros((jacobians[0].shape[1],) * 2)
     for run, part, jacobian in zip(runs, parts, jacobians, strict=True):
         samples = max(run.t[-1] / CORRELATION_TIME, 1.0)
         weights = robust_weights(part)
         slope = jacobian * weights[:, None]
         spread += slope.T @ slope / part.size * float(np.mean(weights * part**2)) / samples
+    return spread
+
+
+def _noise(A: FloatArray, spread: FloatArray) -> float:
+    """Variance of an estimate along a direction of unit curvature [rad^2]."""
+    return float(np.trace(spread) / max(np.trace(A), 1e-300))
+
+
+def _inverse(A: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Inverse of the curvature along the directions the logs speak of, and a projector on those they do not.
+
+    A direction is silent where the logs would leave a wider spread than the bounds already do.
+    """
+    eigenvalues, vectors = np.linalg.eigh(A)
+    heard = eigenvalues * _BOX_VARIANCE > _noise(A, spread)
+    inverse = (vectors[:, heard] / eigenvalues[heard]) @ vectors[:, heard].T
+    return inverse, vectors[:, ~heard] @ vectors[:, ~heard].T
+
+
+def _covariance(
+    inverse: FloatArray, silent: FloatArray, gradients: Sequence[FloatArray], spread: FloatArray
+) -> FloatArray:
+    """Sandwich by log, or the spread of residuals with few effective samples where that is larger."""
+    count = len(gradients)
+    centred = np.array(gradients) - np.mean(gradients, axis=0)
+    sandwich = inverse @ (centred.T @ centred) @ inverse * count / max(count - 1, 1)
     residual = inverse @ spread @ inverse
     # Scale up each parameter's row and column to the larger variance; correlations come from the larger trace.
     base = sandwich if np.trace(sandwich) >= np.trace(residual) else residual
     ratio = np.sqrt(np.maximum(np.diag(sandwich), np.diag(residual)) / np.maximum(np.diag(base), 1e-300))
-    # Where the logs are silent (zero gradient, so zero spread) anything in the cube is possible.
+    # Where the logs are silent anything in the cube is possible.
     return np.asarray(base * np.outer(ratio, ratio) + silent)
 
 
@@ -212,7 +223,7 @@ def _verdict(problem: FitProblem, i: int, x: float, half: float, alone: float, c
     if vague:
         return "not excited"
     if x < _ON_BOUND or x > 1.0 - _ON_BOUND:
-        return "on its bound"
+        return ON_BOUND
     return "identified"
 
 

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from frasa_sysid.cost import Misfit, misfit, residuals, robust_cost
-from frasa_sysid.evidence import Evidence, evidence
+from frasa_sysid.evidence import ON_BOUND, Evidence, evidence
 from frasa_sysid.finish import finish
 from frasa_sysid.problem import FitProblem
 from frasa_sysid.recording import FloatArray
@@ -190,7 +190,7 @@ def _identity(problem: FitProblem, simulator: BenchSimulator, optimizer: str) ->
 def _drop_unexcited(
     problem: FitProblem, simulator: BenchSimulator, values: FloatArray, weighed: Evidence
 ) -> tuple[FloatArray, int]:
-    """Numbers the logs do not speak of go back to nominal, one by one, unless the cost objects.
+    """Numbers the logs do not speak of, and delays on their bound, go back to nominal unless the cost objects.
 
     Returns:
         The values, shape (n,), and the number of evaluations used.
@@ -201,7 +201,12 @@ def _drop_unexcited(
             residuals(problem.train, simulator.simulate(problem.train, [problem.servo_values(point)])[0])
         )
 
-    unexcited = [i for i, one in enumerate(weighed.estimates) if not one.excited]
+    # No delay at all lies outside the bounds (the shortest one MuJoCo acts on is a step), so it is tried here.
+    unexcited = [
+        i
+        for i, (one, free) in enumerate(zip(weighed.estimates, problem.free, strict=True))
+        if not one.excited or (one.verdict == ON_BOUND and not free.low <= free.nominal <= free.high)
+    ]
     if not unexcited:
         return values, 0
     allowed = cost(values) * (1.0 + _UNEXCITED_LOSS)

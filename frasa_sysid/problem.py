@@ -141,7 +141,7 @@ def stated_servo(name: str, model_path: Path) -> tuple[Servo, dict[str, float]]:
 
 
 def free_parameters(
-    known: Servo, nominal: Mapping[str, float], runs: Sequence[BenchRun], longest_delay: float
+    known: Servo, nominal: Mapping[str, float], runs: Sequence[BenchRun], delay_range: tuple[float, float]
 ) -> tuple[FreeParameter, ...]:
     """The numbers that logs of this kind can speak of, with physical bounds.
 
@@ -150,14 +150,14 @@ def free_parameters(
         nominal: value by field.
         runs: a force limit or an offset means nothing to voltage-driven runs, a switched-off
             damping nothing to runs that are always powered.
-        longest_delay: that the model can hold [s].
+        delay_range: shortest and longest that the model tells apart [s].
     """
     voltage = all(run.voltage_driven for run in runs)
     switched = any(run.switches.size or not run.powered_first for run in runs)
     fields = ["kp", "damping", "frictionloss", "armature", "delay"]
     fields += [] if voltage else ["forcerange", "offset"]
     fields += ["damping_off"] if switched else []
-    return tuple(_free(known.name, field, nominal[field], longest_delay) for field in fields)
+    return tuple(_free(known.name, field, nominal[field], delay_range) for field in fields)
 
 
 def split(recordings: Sequence[Recording], rule: str) -> tuple[list[Recording], list[Recording]]:
@@ -214,11 +214,11 @@ def _parse(wanted: str, known: Sequence[float | str], rule: str) -> float | str:
     return near[0] if near else number
 
 
-def _free(owner: str, field: str, nominal: float, longest_delay: float) -> FreeParameter:
+def _free(owner: str, field: str, nominal: float, delay_range: tuple[float, float]) -> FreeParameter:
     if field == "offset":
         return FreeParameter("bench.offset", "rad", -_LONGEST_OFFSET, _LONGEST_OFFSET, nominal)
     if field == "delay":
-        return FreeParameter(f"{owner}.delay", "s", 0.0, longest_delay, nominal)
+        return FreeParameter(f"{owner}.delay", "s", *delay_range, nominal)
     low, high = _SPAN[field]
     return FreeParameter(f"{owner}.{field}", _UNIT[field], low * nominal, high * nominal, nominal)
 

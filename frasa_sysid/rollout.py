@@ -102,9 +102,14 @@ class BenchSimulator:
         return sha256_of(compiled.tobytes())
 
     @property
-    def longest_delay(self) -> float:
-        """What the model's command history can hold [s]."""
-        return float(self._model.actuator_history[0, 0] * self._model.opt.timestep)
+    def delay_range(self) -> tuple[float, float]:
+        """Shortest and longest command delay that the model tells apart [s].
+
+        MuJoCo (3.17) reads a delayed command from the history before it adds the present one: any
+        delay above zero acts as at least one step, and the history holds no more than its size.
+        """
+        step = float(self._model.opt.timestep)
+        return step, float(self._model.actuator_history[0, 0]) * step
 
     def simulate(self, runs: Sequence[BenchRun], candidates: Sequence[ServoValues]) -> list[list[FloatArray]]:
         """Encoder readings of every candidate on every run, at the measured times.

@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
 def _problem(args: argparse.Namespace, bench: Bench, simulator: BenchSimulator) -> FitProblem:
     train, held_out = bench.runs(simulator)
-    free = free_parameters(bench.servo, bench.nominal, train, simulator.longest_delay)
+    free = free_parameters(bench.servo, bench.nominal, train, simulator.delay_range)
     return FitProblem(bench.servo, bench.nominal, free, tuple(train), tuple(held_out), args.hold_out, args.seed)
 
 

@@ -28,7 +28,7 @@ def fitted(name: str, recordings: list[Recording]) -> FitResult:
     stated = servo.error_gain * servo.firmware_gain * servo.supply_voltage
     with BenchSimulator(ROOT / "robot_model" / "bench_pendulum.xml", 1.0 / stated) as simulator:
         runs = runs_of(recordings, servo, simulator.timestep)
-        free = free_parameters(servo, nominal, runs, simulator.longest_delay)
+        free = free_parameters(servo, nominal, runs, simulator.delay_range)
         return fit(FitProblem(servo, nominal, free, tuple(runs), (), "none", 0), simulator, {})
 
 

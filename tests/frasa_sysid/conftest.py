@@ -144,7 +144,7 @@ class BenchKit:
         return runs_of(recordings, self.servo, self.simulator.timestep)
 
     def problem(self, runs: list[BenchRun], held_out: tuple[BenchRun, ...] = (), seed: int = 0) -> FitProblem:
-        free = free_parameters(self.servo, self.nominal, runs, self.simulator.longest_delay)
+        free = free_parameters(self.servo, self.nominal, runs, self.simulator.delay_range)
         return FitProblem(self.servo, self.nominal, free, tuple(runs), held_out, "none", seed)
 
 

@@ -74,7 +74,7 @@ def test_intervals_stay_inside_the_bounds(kit):
     problem = kit.problem(runs)
     values = np.array([kit.truth[one.field] for one in problem.free])
     place = [one.field for one in problem.free].index("delay")
-    values[place] = 0.0
+    values[place] = problem.free[place].low
     found = evidence(problem, kit.simulator, values)
     for one, free in zip(found.estimates, problem.free, strict=True):
         assert free.low <= one.low <= one.value <= one.high <= free.high

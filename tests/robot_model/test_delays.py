@@ -121,3 +121,18 @@ def test_rollout_carries_the_history(nominal):
     scratch = [mujoco.MjData(nominal)]
     _, sensors = rollout.rollout(nominal, scratch, state, commands[None, 30:], initial_warmstart=warmstart)
     np.testing.assert_array_equal(sensors[0], readings[30:])
+
+
+def test_commands_cannot_be_late_by_less_than_a_step(robot_model_dir):
+    """MuJoCo acts on a delayed command at least one step late: the reason for the fit's lower bound on delays."""
+    model = mujoco.MjModel.from_xml_path(str(robot_model_dir / "bench_pendulum.xml"))
+    model.actuator_gainprm[0, 0], model.actuator_biasprm[0, 1] = 1.0, 0.0
+    model.actuator_forcerange[0] = (-1e6, 1e6)
+    for asked, acted in ((0.0, 0.0), (0.0005, 0.002), (0.002, 0.002), (0.0033, 0.0033)):
+        model.actuator_delay[0] = asked
+        data = mujoco.MjData(model)
+        for _ in range(10):
+            now = data.time
+            data.ctrl[0] = now
+            mujoco.mj_step(model, data)
+        assert now - data.actuator_force[0] == pytest.approx(acted, abs=1e-9)
