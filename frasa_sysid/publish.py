@@ -5,7 +5,6 @@ nominal model. Ranges are the 95 % interval, widened to what leaving out any rig
 changes, and never narrower than a stated floor.
 """
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,12 +30,12 @@ from frasa_sysid.calibration import (
 from frasa_sysid.calibration.load import RANGES_FILE
 from frasa_sysid.errors import InputError, ModelError, QualityError
 from frasa_sysid.fit_file import StoredFit, model_parameters
+from frasa_sysid.model_xml import inlined, parts_of, relocate_includes, write_class, write_id
 from frasa_sysid.recording import FloatArray
 
 FLOOR_RELATIVE = 0.02  # [1] of the value: another unit or another day differs by more than any interval says
 FLOOR_DELAY = 0.0005  # [s] a bus is not steadier than this
 REPLAY_TOLERANCE = 1e-4  # [rad] between the published model and what the fit saw
-_ACTUATOR_FIELDS = {"kp", "forcerange", "delay"}
 _COMPARED = (
     "actuator_gainprm",
     "actuator_biasprm",
@@ -82,14 +81,14 @@ def publish(fits: Sequence[StoredFit], nominal: Path, out: Path) -> Published:
     _check_place(nominal, out)
     ordered = sorted(fits, key=lambda one: (one.servo, one.sha256))
     _check_claims(ordered)
-    root = _inlined(nominal)
+    root = inlined(nominal)
     _check_stated(ordered, nominal)
     key = _identity(ordered, root)
-    _relocate_includes(root, nominal.parent, out.parent)
+    relocate_includes(root, nominal.parent, out.parent)
     calibration = _calibration(ordered, key)
     for stored in ordered:
-        _write_class(root, stored, nominal)
-    _write_id(root, key)
+        write_class(root, stored, nominal)
+    write_id(root, key)
     root.set("model", "sigmaban_calibrated" if root.get("model") == "sigmaban_nominal" else f"{root.get('model')}_cal")
     root.insert(0, etree.Comment(_headline(ordered, key)))
     etree.indent(root)
@@ -169,7 +168,7 @@ def check_replay(fitted: Sequence[FloatArray], published: Sequence[FloatArray]) 
 def _check_place(nominal: Path, out: Path) -> None:
     if calibration_id(load_model(nominal)) is not None:
         raise ModelError(f"{nominal} is calibrated already; publish from the nominal model")
-    sources = [nominal, *(nominal.parent / (one.get("file") or "") for one in _parse(nominal).iter("include"))]
+    sources = parts_of(nominal)
     if out.resolve() in {source.resolve() for source in sources}:
         raise ModelError(f"{out} is part of the nominal model, which publishing never changes; choose another --out")
 
@@ -197,77 +196,9 @@ def _check_stated(fits: Sequence[StoredFit], nominal: Path) -> None:
                 )
 
 
-def _parse(path: Path) -> etree._Element:
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
-    try:
-        return etree.parse(str(path), parser).getroot()
-    except (etree.XMLSyntaxError, OSError) as error:
-        raise ModelError(f"{path} is not XML: {error}") from error
-
-
-def _inlined(nominal: Path) -> etree._Element:
-    """The nominal model with the includes that hold default classes written out, comments kept."""
-    root = _parse(nominal)
-    for include in root.findall("include"):
-        source = nominal.parent / (include.get("file") or "")
-        part = _parse(source)
-        if part.find("default") is None:
-            continue
-        place = root.index(include)
-        children = [child for child in part if not isinstance(child, etree._Comment)]
-        for child in reversed(children):
-            root.insert(place, child)
-        root.remove(include)
-    for comment in list(root.iter(etree.Comment)):
-        # Comments of the nominal files speak of nominal numbers.
-        parent = comment.getparent()
-        if parent is not None:
-            _remove(parent, comment)
-    return root
-
-
-def _relocate_includes(root: etree._Element, before: Path, after: Path) -> None:
-    """Write the remaining includes relative to the folder the model will stand in."""
-    for include in root.findall("include"):
-        source = (before / (include.get("file") or "")).resolve()
-        include.set("file", Path(os.path.relpath(source, after.resolve())).as_posix())
-
-
-def _remove(parent: etree._Element, child: etree._Element) -> None:
-    """Remove a node but keep the white space behind it from gluing neighbours together."""
-    previous = child.getprevious()
-    if previous is None and parent.text is not None and child.tail is not None:
-        parent.text = child.tail
-    parent.remove(child)
-
-
 def _identity(fits: Sequence[StoredFit], root: etree._Element) -> str:
     content = etree.tostring(root) + "".join(stored.sha256 for stored in fits).encode()
     return sha256_of(content)[:16]
-
-
-def _write_class(root: etree._Element, stored: StoredFit, nominal: Path) -> None:
-    places = [one for one in root.iter("default") if one.get("class") == stored.servo]
-    if len(places) != 1:
-        raise ModelError(f"{nominal}: expected one default class '{stored.servo}', found {len(places)}")
-    joint, actuator = (_child(places[0], tag) for tag in ("joint", "position"))
-    for name, one in model_parameters(stored).items():
-        field = name.rpartition(".")[2]
-        value = repr(float(one["value"]))
-        target = actuator if field in _ACTUATOR_FIELDS else joint
-        target.set(field, f"-{value} {value}" if field == "forcerange" else value)
-
-
-def _child(parent: etree._Element, tag: str) -> etree._Element:
-    found = parent.find(tag)
-    return etree.SubElement(parent, tag) if found is None else found
-
-
-def _write_id(root: etree._Element, key: str) -> None:
-    custom = root.find("custom")
-    if custom is None:
-        custom = etree.SubElement(root, "custom")
-    etree.SubElement(custom, "text", name="calibration_id", data=key)
 
 
 def _headline(fits: Sequence[StoredFit], key: str) -> str:

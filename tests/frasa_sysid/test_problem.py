@@ -109,7 +109,7 @@ def test_what_a_fit_cannot_start_from(robot_model_dir, tmp_path):
 
 
 def test_the_unit_cube(kit, recordings):
-    """Values and points of the cube turn into each other; nominal lies inside, unless it is no delay; the rest is cut."""
+    """Values and points of the cube turn into each other; nominal lies inside, but for no delay."""
     problem = kit.problem(kit.runs(recordings))
     x = problem.to_unit(problem.nominal_values())
     delay = np.array([one.field == "delay" for one in problem.free])
