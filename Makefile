@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
-DEMO_MINUTES ?= 3
+DEMO_MINUTES ?= 4
 
 .PHONY: demo test check bench bench-logs setup clean
 
