@@ -234,13 +234,3 @@ def servo_name(recordings: Sequence[Recording], given: str | None) -> str:
         found = ", ".join(sorted(names)) or "none"
         raise LogError(f"the logs must be of one servo type, found: {found}; give --servo NAME")
     return names.pop()
-
-
-__all__ = [
-    "FitProblem",
-    "FreeParameter",
-    "free_parameters",
-    "servo_name",
-    "split",
-    "stated_servo",
-]
