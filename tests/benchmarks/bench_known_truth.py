@@ -41,7 +41,8 @@ def table(title: str, result: FitResult, truth: dict[str, float], law: str) -> N
         if one.name.endswith(".delay"):
             known = truth[one.name] + FIRMWARE_TICK
         if one.name.endswith(".frictionloss"):
-            known = truth["friction.coulomb"] if law == "m1" else None
+            # M4 has no single Coulomb number: without load it holds K_c + K_cs at standstill.
+            known = truth["friction.coulomb"] + (0.0 if law == "m1" else truth["friction.stribeck"])
         error = "-"
         if known is not None:
             absolute = one.name.endswith((".delay", ".offset"))
@@ -60,7 +61,8 @@ def main() -> int:
         bench = dataclasses.replace(BENCHES[name], supply_resistance=0.0)
         recordings = simulate_bench(servo, bench, "m1")
         table(f"the same bench, truth M1 ({name})", fitted(name, recordings), dict(recordings[0].truth), "m1")
-    print("\nDelay truths include half a firmware period (0.5 ms), which a command waits on average.")
+    print("\nDelay truths include half a firmware period (0.5 ms), which a command waits on average; the friction loss")
+    print("of an M4 truth is what holds the joint at standstill without load, K_c + K_cs.")
     return 0
 
 
