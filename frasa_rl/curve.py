@@ -2,7 +2,17 @@
 
 from pathlib import Path
 
+from frasa_rl.config import Task
 from frasa_rl.progress import COLUMNS, CSV_FILE, read_progress
+
+
+def still_return(task: Task) -> float:
+    """The most a robot earns in a whole episode without ever nearing the pose: all terms but posture.
+
+    A return below or around it says that the agent learned to keep still, not to stand.
+    """
+    weights = task.reward
+    return (weights.action + weights.variation + weights.self_contact) * task.episode_s / task.control_period_s
 
 
 def draw_curve(run: Path) -> Path | None:
@@ -20,6 +30,9 @@ def draw_curve(run: Path) -> Path | None:
     figure = Figure(figsize=(7.0, 4.0), layout="constrained")
     left = figure.subplots()
     left.plot(columns["minutes"], columns["return"], color="tab:blue")
+    still = still_return(Task())
+    left.axhline(still, color="tab:blue", ls="--", lw=1.0, label=f"lying still: at most {still:.0f}")
+    left.legend(loc="lower right")
     left.set(xlabel="training time [min]", ylabel="return of an episode (at most 125)", title=run.name)
     left.grid(alpha=0.3)
     right = left.twinx()

@@ -31,7 +31,7 @@ CASES = (
     Case("sts3215", "*.json.gz", "bam", RIGS, ("none", "kp=24", "mass=0.969")),
     Case("xl330", "*.json.gz", "bam", (), ("none", "kp=400")),
     Case("sts3250_bam", "*.json.gz", "bam", (), ("none", "trajectory=sin_sin")),
-    Case("mx64_dynaban", "completeTest.gz", "dynaban", ("--servo", "mx64"), ("none",)),
+    Case("mx64_dynaban", "completeTest.gz", "dynaban", ("--servo", "mx64"), ("none", "trajectory=steps")),
 )
 
 
