@@ -89,13 +89,9 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     for title, _, part in demo.steps:
         say(f"  {part:5.0f} s  {title}")
     say(f"  {seconds:5.0f} s  in all")
-    say(
-        "So few minutes of training do not make a robot that stands up; most of the rise in return is the agent learning"
-    )
-    say(
-        "to keep still. The paper trains for 13 to 37 minutes on a desktop with a GPU, two processor cores need hours for"
-    )
-    say("as many updates.")
+    say("So few minutes of training do not make a robot that stands up; most of the rise in return is the agent")
+    say("learning to keep still. The paper trains for 13 to 37 minutes on a desktop with a GPU, two processor cores")
+    say("need hours for as many updates.")
     say(f"Open {page}")
     return {"schema": "frasa.demo/1", "seconds": seconds, "steps": demo.steps, "outputs": {"page": page}}
 
