@@ -79,7 +79,7 @@ def _force_limit(motions: Sequence[Motion]) -> Finding:
     shares = [one.saturated for one in motions if one.saturated is not None]
     if shares:
         often = f"in up to {100 * max(shares):.0f} % of a run" if max(shares) > 0 else "nowhere"
-        reason = f"by its nominal numbers the servo saturates {often}"
+        reason = f"by its recorded duty or nominal numbers the servo saturates {often}"
         verdict: Verdict = "yes" if max(shares) > 0.02 else "weak" if max(shares) > 0 else "no"
         return Finding(name, verdict, reason, "" if verdict == "yes" else record)
     error = max(one.error_p95 for one in motions)

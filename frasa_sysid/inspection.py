@@ -95,7 +95,8 @@ class Motion:
         free_travel: with the motor off [rad].
         has_drive: there is a goal, or a voltage command.
         error_p95: of |goal - position| with the motor on [rad].
-        saturated: share of the samples that ask for more duty than there is; None without servo and gain.
+        saturated: share of the samples that ask for more duty than there is, as recorded or else by nominal
+            numbers; None without servo and gain.
         goal_speed: 95th percentile, or what a step makes in one sample [rad/s].
         gravity: torque at the horizontal [N m]; None when not known.
         lift: largest |sin(position)|.
@@ -126,9 +127,9 @@ class Motion:
 
 
 def is_bench(recording: Recording) -> bool:
-    """Whether a recording is of one joint that moves: what the rules of identification are about."""
+    """Whether a recording is of one joint that turns, and long enough: what the rules of identification are about."""
     position = recording.signals.get("position")
-    return position is not None and not position.columns and position.t.size >= 4 * SMOOTHING
+    return position is not None and not position.columns and not recording.linear and position.t.size >= 4 * SMOOTHING
 
 
 def motion(recording: Recording) -> Motion:
@@ -203,6 +204,9 @@ def _saturated(recording: Recording, error: FloatArray) -> float | None:
     known = NOMINAL.get(rig.servo)
     if known is None:
         return None
+    duty = recording.signals.get("duty")
+    if duty is not None and not duty.columns:
+        return float((np.abs(duty.y) > 0.99 * known.max_duty).mean())
     return float((known.error_gain * rig.firmware_gain * np.abs(error) > known.max_duty).mean())
 
 

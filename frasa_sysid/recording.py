@@ -12,11 +12,15 @@ Names and units of the signals that frasa knows (others may be present and are k
 `voltage_command`       V         commanded motor voltage (open-loop benches)
 `torque_enable`         1         1 while the motor is powered, 0 while it is off
 `supply_voltage`        V         supply voltage measured at the servo
+`force`                 N         force of a linear drive, known from its calibration
 `current`, `load`, ...  as given  kept, never taken for torque without a declared unit
 ======================  ========  =====================================================
 
 The zero of a bench position is the arm hanging straight down; gravity is
 -`gravity_torque` * sin(position).
+
+A linear axis has `position` and `goal` in m and `velocity` in m/s instead, all of them
+or none; the bench fit and the rules of identification are about angles and leave it out.
 """
 
 from collections.abc import Mapping
@@ -40,7 +44,11 @@ UNITS: Mapping[str, str] = MappingProxyType(
         "voltage_command": "V",
         "torque_enable": "1",
         "supply_voltage": "V",
+        "force": "N",
     }
+)
+LINEAR_UNITS: Mapping[str, str] = MappingProxyType(
+    {"position": "m", "velocity": "m/s", "goal": "m", "goal_velocity": "m/s"}
 )
 
 
@@ -101,7 +109,8 @@ class RigFacts:
         gravity_torque: torque that holds the arm horizontal [N m]; replaces likewise.
         firmware_gain: P gain of the servo's position loop, in the firmware's own unit.
         supply_voltage: declared supply [V]; the measured signal has precedence.
-        control: `position` (goal angles) or `voltage` (open loop).
+        control: `position` (goal angles), `voltage` (open loop), or `force` (a linear axis whose
+            drive force is known; the loop around it, if there is one, need not be).
         trajectory: name of the excitation.
     """
 
@@ -113,7 +122,7 @@ class RigFacts:
     gravity_torque: float | None = None
     firmware_gain: float | None = None
     supply_voltage: float | None = None
-    control: Literal["position", "voltage"] = "position"
+    control: Literal["position", "voltage", "force"] = "position"
     trajectory: str | None = None
 
     def __post_init__(self) -> None:
@@ -121,8 +130,8 @@ class RigFacts:
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value >= 0):
                 raise LogError(f"rig fact {name} = {value}: expected a finite number, zero or more")
-        if self.control not in ("position", "voltage"):
-            raise LogError(f"rig fact control = '{self.control}': expected 'position' or 'voltage'")
+        if self.control not in ("position", "voltage", "force"):
+            raise LogError(f"rig fact control = '{self.control}': expected 'position', 'voltage' or 'force'")
 
     def known(self) -> dict[str, Any]:
         """The facts that are known, by name."""
@@ -176,9 +185,11 @@ class Recording:
         for name, signal in self.signals.items():
             if signal.name != name:
                 raise LogError(f"recording '{self.name}': signal '{signal.name}' filed under '{name}'")
-            expected = UNITS.get(name)
-            if expected is not None and signal.unit != expected:
-                raise LogError(f"recording '{self.name}': '{name}' is in [{signal.unit}], expected [{expected}]")
+        # The signals of motion are those of one axis: all along it, or all about it.
+        units = {**UNITS, **LINEAR_UNITS} if self.linear else UNITS
+        for name, signal in self.signals.items():
+            if signal.unit != units.get(name, signal.unit):
+                raise LogError(f"recording '{self.name}': '{name}' is in [{signal.unit}], expected [{units[name]}]")
         object.__setattr__(self, "signals", MappingProxyType(dict(self.signals)))
         object.__setattr__(self, "truth", MappingProxyType(dict(self.truth)))
         object.__setattr__(self, "extra", MappingProxyType(dict(self.extra)))
@@ -194,6 +205,12 @@ class Recording:
                 f"{self.name} has no '{name}' signal; it has {', '.join(sorted(self.signals)) or 'none at all'}"
             )
         return self.signals[name]
+
+    @property
+    def linear(self) -> bool:
+        """Whether this is an axis that slides: its position, or else its goal, is in metres."""
+        main = self.signals.get("position", self.signals.get("goal"))
+        return main is not None and main.unit == "m"
 
     @property
     def duration(self) -> float:

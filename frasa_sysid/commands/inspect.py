@@ -150,7 +150,9 @@ def _number(value: float | None) -> str:
 def _show_findings(console: Console, recordings: Sequence[Recording], found: Mapping[str, list[Finding]]) -> None:
     robots = sum(not is_bench(recording) for recording in recordings)
     if robots:
-        console.print(f"{robots} of {len(recordings)} recordings are not of a single joint; no verdict on those")
+        console.print(
+            f"{robots} of {len(recordings)} recordings are not of a single joint that turns, or very short; no verdict"
+        )
     for servo, several in found.items():
         title = f"What these logs can identify together: {servo}"
         table = Table(title=escape(title), title_justify="left", title_style="bold")

@@ -47,10 +47,13 @@ def clean(signals: Mapping[str, Signal], rig: RigFacts) -> tuple[dict[str, Signa
         The signals to use, and the faults found in them.
     """
     result = dict(signals)
+    position = result.get("position")
+    # What a servo's encoder does wrong concerns angles, not the metres of a linear axis.
+    turns = position is not None and position.unit == "rad"
     faults = [
-        *_drop_failed_reads(result),
-        *_drop_averaged_reads(result),
-        *_unwrap_position(result),
+        *(_drop_failed_reads(result) if turns else []),
+        *(_drop_averaged_reads(result) if turns else []),
+        *(_unwrap_position(result) if turns else []),
         *_make_signed(result),
         *_voltage_fault(result, rig),
         *timing_faults(result),
@@ -222,7 +225,7 @@ def check_radians(signals: Mapping[str, Signal], rig: RigFacts, source: str) -> 
         return
     for name in ("goal", "position"):
         signal = signals.get(name)
-        if signal is None or signal.columns:
+        if signal is None or signal.columns or signal.unit != "rad":
             continue
         largest = float(np.abs(signal.y).max())
         if largest > DEGREES_FROM:

@@ -23,7 +23,7 @@ from frasa_sysid.readers.mcap_series import CLOCKS, Collected, Series, collect, 
 from frasa_sysid.readers.mcap_stream import StreamReport
 from frasa_sysid.readers.sampling import make_signal, plural
 from frasa_sysid.readers.sources import Unit, check_source
-from frasa_sysid.recording import UNITS, Clock, Fault, Recording, RigFacts, Signal
+from frasa_sysid.recording import LINEAR_UNITS, UNITS, Clock, Fault, Recording, RigFacts, Signal
 
 MAIN_TOPICS = ("/joint_states", "/joint_command", "/imu/data")
 
@@ -205,10 +205,19 @@ def _make_signal(
     kept, columns, y = _matrix(name, series, inside, found)
     # Subtracted as whole nanoseconds: a float cannot hold an epoch time to the nanosecond.
     t = (stamps[kept] - np.uint64(window[0])).astype(np.float64) / 1e9
-    unit = series.unit if series.unit not in (None, "raw") else units.get(name, UNITS.get(name, "raw"))
-    signal, faults = make_signal(name, unit or "raw", t, y, columns)
+    signal, faults = make_signal(name, _unit(name, series.unit, units.get(name)), t, y, columns)
     found += faults
     return signal
+
+
+def _unit(name: str, of_type: str | None, declared: str | None) -> str:
+    """The unit that the message type fixes, else the declared one, else the usual one."""
+    # JointState is in radians for joints that turn and in metres for those that slide: only the record can say.
+    if declared is not None and declared == LINEAR_UNITS.get(name):
+        return declared
+    if of_type is not None and of_type != "raw":
+        return of_type
+    return declared or UNITS.get(name, "raw")
 
 
 def _matrix(
@@ -239,4 +248,6 @@ def _permuted(columns: tuple[str, ...], same: frozenset[str], usual: tuple[str, 
 def _in_radians(signal: Signal, unit: Unit) -> Signal:
     if unit != "deg" or signal.name.split("@")[0] not in ("position", "velocity", "goal", "goal_velocity"):
         return signal
+    if signal.unit not in ("rad", "rad/s"):
+        raise LogError(f"--unit deg: '{signal.name}' is in [{signal.unit}], which is no angle; leave out --unit")
     return replace(signal, y=np.deg2rad(signal.y))
