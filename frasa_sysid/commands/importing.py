@@ -1,4 +1,4 @@
-"""`frasa-sysid import`: foreign logs -> MCAP, one file a source, the original attached.
+"""`frasa-sysid import`: foreign logs -> MCAP, one file a source, the originals attached.
 
 A source that cannot be read is named and costs no other; the exit status says at the
 end that there was one.
@@ -16,7 +16,10 @@ from frasa_sysid.calibration.command_line import add_json_flag, say
 from frasa_sysid.errors import LogError, UsageError
 from frasa_sysid.readers.bam import read_bam
 from frasa_sysid.readers.dynaban import read_dynaban
+from frasa_sysid.readers.emps import read_emps
+from frasa_sysid.readers.jandi import TELEMETRY, companions, read_jandi
 from frasa_sysid.readers.mcap import read_mcap
+from frasa_sysid.readers.miuzei import read_miuzei
 from frasa_sysid.readers.sources import Unit
 from frasa_sysid.recording import Recording
 from frasa_sysid.rig_table import RigRow, read_rig_table, with_rig
@@ -27,11 +30,30 @@ Read = Callable[[Path, Unit], list[Recording]]
 READERS: Mapping[str, Read] = {
     "bam": read_bam,
     "dynaban": lambda path, unit: read_dynaban(path),
+    "emps": lambda path, unit: read_emps(path),
+    "jandi": lambda path, unit: read_jandi(path),
     "mcap": lambda path, unit: read_mcap(path, unit=unit),
+    "miuzei": lambda path, unit: read_miuzei(path),
+}
+# Formats whose angles are in a unit that nobody has to declare.
+FIXED_UNITS = {
+    "dynaban": "Dynaban positions are encoder steps",
+    "emps": "the EMPS axis moves in metres",
+    "jandi": "Jandi positions are encoder ticks",
+    "miuzei": "Miuzei angles are shares of half a turn",
 }
 # What is taken from a directory; files named one by one may be called anything.
-PATTERNS = {"bam": ("*.json", "*.json.gz"), "dynaban": ("*.txt", "*.gz", "*.log"), "mcap": ("*.mcap",)}
-SUFFIXES = (".gz", ".json", ".txt", ".log", ".mcap")
+PATTERNS = {
+    "bam": ("*.json", "*.json.gz"),
+    "dynaban": ("*.txt", "*.gz", "*.log"),
+    "emps": ("*.mat",),
+    "jandi": tuple(f"**/{name}" for name in TELEMETRY),
+    "mcap": ("*.mcap",),
+    "miuzei": ("*.json", "*.json.gz"),
+}
+# Formats in which a log is a folder: it gives the name, and more files belong to it.
+FOLDERS: Mapping[str, Callable[[Path], list[Path]]] = {"jandi": companions}
+SUFFIXES = (".gz", ".json", ".txt", ".log", ".mcap", ".mat")
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -39,7 +61,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser = subparsers.add_parser(
         "import",
         help="bring foreign logs to MCAP, nothing lost",
-        description="Bring foreign logs to MCAP: one file a source, with the original attached. "
+        description="Bring foreign logs to MCAP: one file a source, with the originals attached. "
         "Known faults of such logs are handled and reported.",
     )
     parser.add_argument("sources", nargs="+", metavar="SRC", help="files, directories or quoted globs")
@@ -64,16 +86,16 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         UsageError: arguments that do not go together.
         LogError: at least one source could not be imported; the others were.
     """
-    if args.unit == "deg" and args.format == "dynaban":
-        raise UsageError("--unit deg: Dynaban positions are encoder steps, not degrees")
+    if args.unit == "deg" and args.format in FIXED_UNITS:
+        raise UsageError(f"--unit deg: {FIXED_UNITS[args.format]}, not degrees")
     table = read_rig_table(args.rig_table) if args.rig_table else None
     sources, failed = _find_all(args.sources, args.format)
-    outputs = _outputs(sources, args.out)
+    outputs = _outputs(sources, args.out, args.format)
     done: list[dict[str, Any]] = []
     for source, out in zip(sources, outputs, strict=True):
         try:
             recordings = _import(source, args, table)
-            write_mcap(out, recordings, {source.name: source.read_bytes()})
+            write_mcap(out, recordings, _originals(source, args.format))
         except (LogError, PermissionError) as error:
             say(f"not imported: {error}")
             failed += 1
@@ -120,8 +142,14 @@ def find_sources(argument: str, form: str) -> list[Path]:
     return files
 
 
-def _outputs(sources: Sequence[Path], folder: Path) -> list[Path]:
-    outputs = [folder / f"{stem(source)}.mcap" for source in sources]
+def _originals(source: Path, form: str) -> dict[str, bytes]:
+    files = [source, *(FOLDERS[form](source) if form in FOLDERS else [])]
+    return {file.name: file.read_bytes() for file in files}
+
+
+def _outputs(sources: Sequence[Path], folder: Path, form: str) -> list[Path]:
+    names = [source.resolve().parent.name if form in FOLDERS else stem(source) for source in sources]
+    outputs = [folder / f"{name}.mcap" for name in names]
     for out, count in Counter(outputs).items():
         if count > 1:
             raise UsageError(f"{count} sources would become {out}; import them into different folders")

@@ -7,7 +7,7 @@ import pytest
 from mcap.reader import make_reader
 
 from frasa_sysid.calibration.command_line import run_command
-from frasa_sysid.commands import importing
+from frasa_sysid.commands import importing, inspect
 from frasa_sysid.errors import LogError
 from frasa_sysid.readers import read_log
 from frasa_sysid.readers.bam import read_bam
@@ -204,3 +204,46 @@ def test_real_bench_with_its_rig_table(tmp_path, shared_dir):
         assert recording.rig.inertia > 0.006
         assert 0.5 < recording.rig.gravity_torque < 1.5
         assert recording.faults == read_bam(source)[0].faults
+
+
+@pytest.mark.parametrize(
+    ("form", "folder", "names", "recordings"),
+    [
+        ("jandi", "mx106_jandi", ["sine", "step", "triangle"], 3),
+        ("miuzei", "servo_miuzei", ["response"], 96),
+        ("emps", "emps", ["DATA_EMPS"], 1),
+    ],
+)
+def test_public_sets(tmp_path, shared_dir, capsys, form, folder, names, recordings):
+    """Each set becomes files that carry its originals, and `inspect` shows them without a verdict on metres."""
+    source = shared_dir / "data" / folder
+    if not source.is_dir():
+        pytest.skip(f"no {folder} in the shared data")
+    assert frasa("import", source, "--format", form, "--out", tmp_path) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"{name}.mcap" for name in names]
+    logs = [one for name in names for one in read_log(tmp_path / f"{name}.mcap")]
+    assert len(logs) == recordings
+    attached = []
+    for name in names:
+        with (tmp_path / f"{name}.mcap").open("rb") as file:
+            attached += [one.name for one in make_reader(file).iter_attachments()]
+    originals = sorted(path.name for path in source.rglob("*") if path.is_file())
+    assert sorted(attached) == originals
+    parser = argparse.ArgumentParser(prog="frasa-sysid")
+    inspect.add_parser(parser.add_subparsers(required=True))
+    capsys.readouterr()
+    assert run_command(parser, ["inspect", *(str(tmp_path / f"{name}.mcap") for name in names), "--json"]) == 0
+    verdicts = json.loads(capsys.readouterr().out)["identifiable"]
+    assert bool(verdicts) == (form != "emps")
+    # What was recorded as duty stays below half: nothing saturates, whatever a gain in another unit would say.
+    if form == "jandi":
+        assert [one["verdict"] for one in verdicts if one["parameter"] == "force limit"] == ["no"]
+
+
+@pytest.mark.parametrize("form", ["emps", "jandi", "miuzei"])
+def test_units_that_need_no_declaration(tmp_path, form, capsys):
+    """--unit deg makes no sense where the format fixes the unit; a folder without such logs is named."""
+    assert frasa("import", tmp_path, "--format", form, "--out", tmp_path, "--unit", "deg") == 2
+    assert "--unit deg" in capsys.readouterr().err
+    assert frasa("import", tmp_path, "--format", form, "--out", tmp_path) == 3
+    assert "holds no" in capsys.readouterr().err
