@@ -27,9 +27,9 @@ try:
     from mujoco import sysid
     from mujoco.sysid import ParameterDict
 
-    MISSING = "" if hasattr(sysid, "optimize") else "mujoco.sysid lacks its dependencies: pip install 'mujoco[sysid]'"
-except ImportError as problem:
-    MISSING = f"no mujoco.sysid: {problem}"
+    MISSING = ""
+except ImportError as problem:  # it imports, but empty, where the extra's packages are not installed
+    MISSING = f"pip install 'mujoco[sysid]' ({problem})"
 
 GRAVITY = 9.81  # [m/s^2]
 LONGEST_DELAY = 0.03  # [s]
@@ -169,7 +169,7 @@ class SysidBench:
         run = self._runs[name]
         value = {field: self._value(parameters, field) for field in (*_SPAN, "offset")}
         kp, limit = value["kp"] * run.kp_scale, value["forcerange"] * run.force_scale
-        emf = max(value["damping"] - value["damping_off"], 0.0)
+        emf = value["damping"] - value["damping_off"]
         distance = _distance(run)
         # In the encoder's angle the arm hangs straight down at `offset`.
         centre = (distance * np.sin(value["offset"]), 0.0, -distance * np.cos(value["offset"]))
