@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import yaml
 
+from frasa_sysid.calibration import servo_law
 from frasa_sysid.calibration.errors import CalibrationError, ModelError
 from frasa_sysid.calibration.ranges import SCHEMA, Calibration, Range
 
@@ -14,17 +15,25 @@ RANGES_FILE = "randomization.yaml"
 
 
 def load_model(path: Path) -> mujoco.MjModel:
-    """Compile a MuJoCo XML file.
+    """Compile a MuJoCo XML file; one that carries a friction law has it from here on in this process.
 
     Raises:
-        ModelError: no such file, or MuJoCo cannot compile it; MuJoCo's own words are kept.
+        ModelError: no such file, or MuJoCo cannot compile it (MuJoCo's own words are kept), or a
+            friction law that cannot be evaluated.
     """
     if not path.is_file():
         raise ModelError(f"no model at {path}: expected a MuJoCo XML file")
     try:
-        return mujoco.MjModel.from_xml_path(str(path))
+        model = mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
         raise ModelError(f"{path}: MuJoCo cannot compile it: {' '.join(str(error).split())}") from error
+    if servo_law.has_law(model):
+        try:
+            servo_law.check(model)
+        except ModelError as error:
+            raise ModelError(f"{path}: {error}") from error
+        servo_law.install()
+    return model
 
 
 def calibration_id(model: mujoco.MjModel) -> str | None:
