@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from frasa_sysid.errors import UsageError
-from frasa_sysid.friction import Friction
+from frasa_sysid.calibration.friction import Friction
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,8 @@ PUBLISHED_M4: Mapping[str, Servo] = MappingProxyType(
                 "mx106", 0.158, 0.9625, 2.23138890457851, 2.3717487904639545, 0.02457397334336701,
                 Friction(
                     viscous=0.05096082506010955, coulomb=6.653380436533205e-13, stribeck=0.10491060771568866,
-                    load=0.009150334028953775, load_stribeck=0.22235912179095094,
+                    load_motor=0.009150334028953775, load_external=0.009150334028953775,
+                    load_motor_stribeck=0.22235912179095094, load_external_stribeck=0.22235912179095094,
                     stribeck_speed=1.6232949773728853, stribeck_exponent=1.323485668999259,
                 ),
                 15.0, 12.0, _BAM + "mx106/m4.json",
@@ -114,7 +115,8 @@ PUBLISHED_M4: Mapping[str, Servo] = MappingProxyType(
                 "mx64", 0.158, 0.9625, 1.6631556605652682, 3.1560000816605682, 0.010961212217454795,
                 Friction(
                     viscous=0.014754905791636505, coulomb=0.061549466501679174, stribeck=0.02389528618121147,
-                    load=1.9611119490261663e-10, load_stribeck=0.23428996680337053,
+                    load_motor=1.9611119490261663e-10, load_external=1.9611119490261663e-10,
+                    load_motor_stribeck=0.23428996680337053, load_external_stribeck=0.23428996680337053,
                     stribeck_speed=1.5205782308422509, stribeck_exponent=1.3344007931759223,
                 ),
                 15.0, 12.0, _BAM + "mx64/m4.json",

@@ -1,7 +1,7 @@
 """A bench log from known parameters: servo, firmware, supply, encoder and bus, each with its faults.
 
-This is not the model that is fitted: friction is the load-dependent Stribeck law (M4), the
-voltage law is written out with back-EMF and a sagging supply, the physics runs at 5 kHz and
+This is not the model that is fitted: friction is the law the servo was given
+(M4 for the stored logs), the voltage law is written out with back-EMF and a sagging supply, the physics runs at 5 kHz and
 the firmware at 1 kHz. So a fit of these logs meets model error, as it does with a real servo.
 """
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.random import Generator
 
 from frasa_sysid import trajectories
+from frasa_sysid.calibration.friction import Friction, law_of
 from frasa_sysid.recording import FloatArray, Recording, RigFacts, Signal
 from frasa_sysid.servo import Servo
 
@@ -95,14 +96,21 @@ def truth_of(servo: Servo, bench: Bench) -> dict[str, float]:
         "friction.viscous": friction.viscous,
         "friction.coulomb": friction.coulomb,
         "friction.stribeck": friction.stribeck,
-        "friction.load": friction.load,
-        "friction.load_stribeck": friction.load_stribeck,
+        **_load_shares(friction),
         "friction.stribeck_speed": friction.stribeck_speed,
         "friction.stribeck_exponent": friction.stribeck_exponent,
         "servo.kt": servo.kt,
         "servo.R": servo.R,
         "supply.resistance": bench.supply_resistance,
     }
+
+
+def _load_shares(friction: Friction) -> dict[str, float]:
+    """One share where motor and load count alike (M3, M4), else each with its own name (M5, M6)."""
+    if law_of(friction) in ("m5", "m6"):
+        names = ("load_motor", "load_external", "load_motor_stribeck", "load_external_stribeck")
+        return {f"friction.{name}": getattr(friction, name) for name in (*names, "quad_motor", "quad_external")}
+    return {"friction.load": friction.load_motor, "friction.load_stribeck": friction.load_motor_stribeck}
 
 
 def _runs_of(bench: Bench) -> _Runs:

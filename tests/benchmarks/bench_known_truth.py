@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from frasa_sysid.fit import FitResult, fit
-from frasa_sysid.friction import Friction
+from frasa_sysid.calibration.friction import Friction
 from frasa_sysid.problem import FitProblem, free_parameters, stated_servo
 from frasa_sysid.readers import read_log
 from frasa_sysid.recording import Recording

@@ -5,14 +5,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from frasa_sysid.friction import Friction
+from frasa_sysid.calibration.friction import Friction
 
 M4 = Friction(
     viscous=0.05,
     coulomb=0.06,
     stribeck=0.02,
-    load=0.1,
-    load_stribeck=0.23,
+    load_motor=0.1,
+    load_external=0.1,
+    load_motor_stribeck=0.23,
+    load_external_stribeck=0.23,
     stribeck_speed=1.5,
     stribeck_exponent=1.3,
 )

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from frasa_sysid import trajectories
-from frasa_sysid.friction import Friction
+from frasa_sysid.calibration.friction import Friction
 from frasa_sysid.readers import read_log
 from frasa_sysid.servo import PUBLISHED_M4
 from frasa_sysid.simulate import BENCHES, ENCODER_COUNT, Bench, bench_of, simulate_bench
@@ -65,8 +65,8 @@ def scalar(name):
         motor, gravity = MX64.kt * current, -weight * math.sin(q)
         load = abs(motor - gravity)
         fade = math.exp(-((abs(dq) / friction.stribeck_speed) ** friction.stribeck_exponent))
-        bound = friction.viscous * abs(dq) + friction.coulomb + friction.load * load
-        bound += fade * (friction.stribeck + friction.load_stribeck * load)
+        bound = friction.viscous * abs(dq) + friction.coulomb + friction.load_motor * load
+        bound += fade * (friction.stribeck + friction.load_motor_stribeck * load)
         stop = -(inertia * dq / dt + motor + gravity)
         dq += dt * (motor + gravity + min(max(stop, -bound), bound)) / inertia
         q += dt * dq
