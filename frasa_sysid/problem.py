@@ -1,17 +1,20 @@
 """What is fitted: which numbers are free, between which bounds, on which runs, held out by which rule."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from frasa_sysid.calibration import calibration_id, load_model, number, read, servo_classes
+from frasa_sysid.calibration.friction import FIELDS as FRICTION_FIELDS
+from frasa_sysid.calibration.friction import check_law
+from frasa_sysid.effects import AUTOMATIC, EFFECTS, law_numbers
 from frasa_sysid.errors import LogError, ModelError, UsageError
 from frasa_sysid.recording import FloatArray, Recording
 from frasa_sysid.rig import BenchRun
-from frasa_sysid.rollout import ServoValues
 from frasa_sysid.servo import Servo, servo
+from frasa_sysid.servo_values import COLUMN, ServoValues
 
 # Bounds as multiples of the nominal value: wide enough for another unit, supply or gear ratio
 # of the same type, narrow enough that the search starts in the right world.
@@ -44,7 +47,9 @@ class FreeParameter:
         name: `mx106.damping` or `bench.offset`.
         unit: SI unit as text.
         low, high: bounds.
-        nominal: where it starts and what it is compared with.
+        nominal: what it is compared with, and its value while it is not fitted.
+        start: where the search starts.
+        rig: load it belongs to, for the zero offset of one rig; else empty.
     """
 
     name: str
@@ -52,11 +57,13 @@ class FreeParameter:
     low: float
     high: float
     nominal: float
+    start: float
+    rig: str = ""
 
     @property
     def field(self) -> str:
-        """The last part of the name."""
-        return self.name.rpartition(".")[2]
+        """Field of `ServoValues`: the part of the name behind the owner."""
+        return "offset" if self.rig else self.name.partition(".")[2]
 
 
 @dataclass(frozen=True)
@@ -70,6 +77,9 @@ class FitProblem:
         train, held_out: runs.
         hold_out_rule: as given on the command line.
         seed: of the search.
+        law: friction law, `m1` to `m6`.
+        effects: what else is switched on, names of `effects.EFFECTS`.
+        ties: fields that equal another one.
     """
 
     servo: Servo
@@ -79,26 +89,56 @@ class FitProblem:
     held_out: tuple[BenchRun, ...]
     hold_out_rule: str
     seed: int
+    law: str = "m1"
+    effects: tuple[str, ...] = ()
+    ties: Mapping[str, str] = field(default_factory=dict)
 
     def from_unit(self, x: FloatArray) -> FloatArray:
-        """Parameter values from a point of the unit cube, both of shape (n,)."""
+        """Parameter values from points of the unit cube, both of shape (..., n)."""
         low, high = self._bounds()
         return low + np.clip(x, 0.0, 1.0) * (high - low)
 
     def to_unit(self, values: FloatArray) -> FloatArray:
-        """Point of the unit cube of parameter values, both of shape (n,)."""
+        """Points of the unit cube of parameter values, both of shape (..., n)."""
         low, high = self._bounds()
         return (values - low) / (high - low)
 
     def servo_values(self, values: FloatArray) -> ServoValues:
-        """What is simulated for values of the free parameters, shape (n,)."""
+        """What is simulated for values of the free parameters, shape (n,); zero offsets of single rigs left out."""
         fields = dict(self.nominal)
-        fields.update({one.field: float(value) for one, value in zip(self.free, values, strict=True)})
+        fields.update({one.field: float(value) for one, value in zip(self.free, values, strict=True) if not one.rig})
+        fields.update({name: fields[leader] for name, leader in self.ties.items()})
         return ServoValues(**fields)
+
+    def candidates(self, points: FloatArray) -> FloatArray:
+        """Numbers for the kernel from points of the unit cube, (m, n) to (m, fields)."""
+        values = self.from_unit(points)
+        table = np.repeat(ServoValues(**self.nominal).array()[None], len(values), axis=0)
+        for i, one in enumerate(self.free):
+            if not one.rig:
+                table[:, COLUMN[one.field]] = values[:, i]
+        for name, leader in self.ties.items():
+            table[:, COLUMN[name]] = table[:, COLUMN[leader]]
+        return table
+
+    def offsets(self, points: FloatArray, runs: Sequence[BenchRun]) -> FloatArray | None:
+        """Zero offsets of single rigs [rad] for points of the unit cube, (m, n) to (m, runs); none without such."""
+        if "offsets" not in self.effects:
+            return None
+        values = self.from_unit(points)
+        found = np.zeros((len(values), len(runs)))
+        for i, one in enumerate(self.free):
+            if one.rig:
+                found[:, [j for j, run in enumerate(runs) if run.rig == one.rig]] = values[:, i, None]
+        return found
 
     def nominal_values(self) -> FloatArray:
         """Nominal value of every free parameter, shape (n,)."""
         return np.array([one.nominal for one in self.free])
+
+    def start_values(self) -> FloatArray:
+        """Where the search starts, shape (n,): nominal, except for numbers whose nominal value hides their effect."""
+        return np.array([one.start for one in self.free])
 
     def _bounds(self) -> tuple[FloatArray, FloatArray]:
         return np.array([one.low for one in self.free]), np.array([one.high for one in self.free])
@@ -137,27 +177,102 @@ def stated_servo(name: str, model_path: Path) -> tuple[Servo, dict[str, float]]:
         flat = [field for field in _SPAN if field in fields and not fields[field] > 0.0]
         if flat:
             raise ModelError(f"{model_path}: {', '.join(flat)} of '{name}' must be above 0 to start a fit from")
-    return known, {**fields, "damping_off": known.friction.viscous, "offset": 0.0}
+    law = {name: getattr(known.friction, name) for name in FRICTION_FIELDS if name != "coulomb"}
+    return known, {**fields, **law, "damping_off": known.friction.viscous, "offset": 0.0}
 
 
-def free_parameters(
-    known: Servo, nominal: Mapping[str, float], runs: Sequence[BenchRun], delay_range: tuple[float, float]
-) -> tuple[FreeParameter, ...]:
-    """The numbers that logs of this kind can speak of, with physical bounds.
+def state_problem(
+    known: Servo,
+    nominal: Mapping[str, float],
+    train: Sequence[BenchRun],
+    held_out: Sequence[BenchRun],
+    delay_range: tuple[float, float],
+    rule: str = "none",
+    seed: int = 0,
+    law: str = "m1",
+    effects: Sequence[str] = (),
+) -> FitProblem:
+    """A fit of one friction law and a set of effects.
 
     Args:
         known: the servo.
-        nominal: value by field.
-        runs: a force limit or an offset means nothing to voltage-driven runs, a switched-off
-            damping nothing to runs that are always powered.
+        nominal: value of every field before the fit.
+        train, held_out: runs; a force limit or an offset means nothing to voltage-driven ones, a
+            switched-off damping nothing to those that are always powered.
         delay_range: shortest and longest that the model tells apart [s].
+        rule: hold-out rule, for the record.
+        seed: of the search.
+        law: `m1` to `m6`.
+        effects: names of `effects.EFFECTS`.
+
+    Raises:
+        UsageError: an unknown law or effect.
     """
-    voltage = all(run.voltage_driven for run in runs)
-    switched = any(run.switches.size or not run.powered_first for run in runs)
-    fields = ["kp", "damping", "frictionloss", "armature", "delay"]
-    fields += [] if voltage else ["forcerange", "offset"]
-    fields += ["damping_off"] if switched else []
-    return tuple(_free(known.name, field, nominal[field], delay_range) for field in fields)
+    numbers, ties = law_numbers(check_law(law))
+    free = [_free(known.name, field, nominal, delay_range) for field in _basic_fields(train)]
+    top = max((_goal_speed(run) for run in train), default=0.0)
+    for name in effects:
+        if name not in EFFECTS:
+            raise UsageError(f"unknown effect '{name}': known are {', '.join(EFFECTS)}")
+        numbers += EFFECTS[name].numbers
+    values = dict(nominal)
+    for one in numbers:
+        low, high, start = one.bounds(nominal["forcerange"], max(top, 1.0))
+        owner = known.name if one.owner == "servo" else "bench"
+        neutral = getattr(ServoValues(**nominal), one.field)
+        # Speed and shape of a Stribeck term that is zero mean nothing; and "no speed limit" is outside any bounds.
+        neutral = start if one.field.startswith("stribeck_") else min(max(neutral, low), high)
+        values[one.field] = neutral
+        free.append(FreeParameter(f"{owner}.{one.field}", one.unit, low, high, neutral, start))
+    if "offsets" in effects:
+        free += _rig_offsets(train)
+    return FitProblem(
+        known, values, tuple(free), tuple(train), tuple(held_out), rule, seed, law, tuple(effects), ties
+    )
+
+
+def possible(runs: Sequence[BenchRun]) -> tuple[str, ...]:
+    """Effects that these runs could show at all."""
+    if any(run.absolute for run in runs):
+        # No firmware at work, and no torque limit: what is left is the supply.
+        return ("sag",) if all(run.control == "voltage" for run in runs) else ()
+    without = set()
+    if all(np.all(run.supply == 1.0) for run in runs):
+        without.add("supply")
+    if len({run.rig for run in runs}) < 2:
+        without.add("offsets")
+    return tuple(name for name in AUTOMATIC if name not in without)
+
+
+def several_loads(runs: Sequence[BenchRun]) -> bool:
+    """Whether load-dependent friction can show: a load that changes, as gravity's does under way."""
+    return any(run.gravity_torque > 0.0 for run in runs)
+
+
+def _basic_fields(runs: Sequence[BenchRun]) -> list[str]:
+    controls = {run.control for run in runs}
+    fields = [] if controls == {"force"} else ["kp"]
+    fields += ["damping", "frictionloss", "armature"]
+    fields += [] if controls == {"force"} else ["delay"]
+    fields += ["forcerange", "offset"] if "position" in controls else []
+    return fields + (["damping_off"] if any(run.switches.size or not run.powered_first for run in runs) else [])
+
+
+def _goal_speed(run: BenchRun) -> float:
+    """Speed of the goal that is passed for at least a tenth of a second [rad/s]."""
+    if run.absolute or run.t[-1] <= 0.0:
+        return 0.0
+    step = run.t[-1] / max(run.steps, 1)
+    window = max(round(0.05 / step), 1)
+    moved = np.abs(run.command[window:] - run.command[:-window])
+    return float(moved.max(initial=0.0) / (window * step))
+
+
+def _rig_offsets(runs: Sequence[BenchRun]) -> list[FreeParameter]:
+    """One for every rig but the first, beside the offset that all share."""
+    rigs = sorted({run.rig for run in runs})[1:]
+    bound = _LONGEST_OFFSET
+    return [FreeParameter(f"bench.offset[{rig}]", "rad", -bound, bound, 0.0, 0.0, rig) for rig in rigs]
 
 
 def split(recordings: Sequence[Recording], rule: str) -> tuple[list[Recording], list[Recording]]:
@@ -214,13 +329,16 @@ def _parse(wanted: str, known: Sequence[float | str], rule: str) -> float | str:
     return near[0] if near else number
 
 
-def _free(owner: str, field: str, nominal: float, delay_range: tuple[float, float]) -> FreeParameter:
+def _free(
+    owner: str, field: str, nominal: Mapping[str, float], delay_range: tuple[float, float]
+) -> FreeParameter:
+    value = nominal[field]
     if field == "offset":
-        return FreeParameter("bench.offset", "rad", -_LONGEST_OFFSET, _LONGEST_OFFSET, nominal)
+        return FreeParameter("bench.offset", "rad", -_LONGEST_OFFSET, _LONGEST_OFFSET, value, value)
     if field == "delay":
-        return FreeParameter(f"{owner}.delay", "s", *delay_range, nominal)
+        return FreeParameter(f"{owner}.delay", "s", *delay_range, value, value)
     low, high = _SPAN[field]
-    return FreeParameter(f"{owner}.{field}", _UNIT[field], low * nominal, high * nominal, nominal)
+    return FreeParameter(f"{owner}.{field}", _UNIT[field], low * value, high * value, value, value)
 
 
 def servo_name(recordings: Sequence[Recording], given: str | None) -> str:

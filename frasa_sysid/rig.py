@@ -6,7 +6,8 @@ write is kept finer than the step), and measurements at their own times.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -15,8 +16,11 @@ from frasa_sysid.recording import FloatArray, Recording, Signal
 from frasa_sysid.servo import Servo
 
 GRAVITY = 9.81  # [m/s^2] as in bench_pendulum.xml; a test holds the two together
-_START_WINDOW = 0.03  # [s] of data for the speed at the start
+_START_WINDOW = 0.03  # [s] of data at most for the speed at the start ...
+_START_SAMPLES = 12  # ... and samples at most: at 1 kHz a step from rest is long on its way after 30 ms
 _STILL = 0.004  # [rad] spread within that window that still counts as standing
+_SUPPLY_SMOOTHING = 0.1  # [s] readings of a sagging supply alias with the PWM; their mean does not
+_SUPPLY_RATE = 5.0  # [Hz] below it a measured supply says nothing about sag within a run
 _NO_LOAD_INERTIA = 1e-6  # [kg m^2] stands for a bare horn, far below any armature
 
 
@@ -27,13 +31,16 @@ class BenchRun:
     Attributes:
         name: of the recording.
         group: rig and gain as text; ranges widen by what leaving one out changes.
+        rig: load as text; runs of one rig share a mounting, so a zero offset.
         trajectory: name of the excitation, or empty.
         inertia: of the pendulum about the axis [kg m^2].
         gravity_torque: at the horizontal [N m].
         kp_scale: firmware gain times supply, relative to where the servo's kp is stated.
         force_scale: supply, relative to where the force limit is stated.
-        voltage_driven: commands are motor volts instead of goals.
-        command: mean command over each physics step [rad or V], shape (steps,).
+        control: `position`, `voltage` or `force`: what commands are.
+        command: mean command over each physics step [rad, V, N m or N], shape (lead + steps,).
+        lead: how many of the commands were given before the start; they are still under way.
+        supply: measured supply in each step over its median, shape (steps,); ones where it is not measured often.
         switches: times [s] at which the torque flag turns, shape (m,).
         powered_first: whether the motor is powered at the start.
         q0, dq0: measured angle [rad] and speed [rad/s] at the start.
@@ -45,13 +52,16 @@ class BenchRun:
 
     name: str
     group: str
+    rig: str
     trajectory: str
     inertia: float
     gravity_torque: float
     kp_scale: float
     force_scale: float
-    voltage_driven: bool
+    control: str
     command: FloatArray
+    lead: int
+    supply: FloatArray
     switches: FloatArray
     powered_first: bool
     q0: float
@@ -64,7 +74,12 @@ class BenchRun:
     @property
     def steps(self) -> int:
         """Physics steps to simulate."""
-        return self.command.size
+        return self.command.size - self.lead
+
+    @property
+    def absolute(self) -> bool:
+        """Whether commands are volts or forces, which no zero offset shifts."""
+        return self.control != "position"
 
 
 def bench_run(recording: Recording, servo: Servo, timestep: float) -> BenchRun:
@@ -79,9 +94,8 @@ def bench_run(recording: Recording, servo: Servo, timestep: float) -> BenchRun:
         LogError: a signal or fact is missing, with what to do about it.
     """
     rig = recording.rig
-    voltage_driven = rig.control == "voltage"
     position = recording.signal("position")
-    drive = _drive(recording, voltage_driven)
+    drive = _drive(recording)
     _check_single(recording, position, drive)
     start = position.t[0]
     t = position.t - start
@@ -90,18 +104,22 @@ def bench_run(recording: Recording, servo: Servo, timestep: float) -> BenchRun:
     steps = int(np.ceil(t[-1] / timestep)) + 1
     inertia, gravity_torque = _load(recording)
     switches, powered_first = _switches(recording, start)
-    supply = 1.0 if voltage_driven else _supply(recording)
+    absolute = rig.control != "position"
+    supply = 1.0 if absolute else _supply(recording)
     cells = np.minimum(np.floor(t / timestep), steps - 1)
     return BenchRun(
         name=recording.name,
-        group=f"{rig.mass}kg {rig.length}m P{rig.firmware_gain}" if not voltage_driven else recording.name,
+        group=f"{rig.mass}kg {rig.length}m P{rig.firmware_gain}" if not absolute else recording.name,
+        rig=f"{rig.mass}kg {rig.length}m",
         trajectory=rig.trajectory or "",
         inertia=inertia,
         gravity_torque=gravity_torque,
-        kp_scale=1.0 if voltage_driven else _gain(recording) / servo.firmware_gain * supply / servo.supply_voltage,
-        force_scale=supply / servo.supply_voltage,
-        voltage_driven=voltage_driven,
+        kp_scale=1.0 if absolute else _gain(recording) / servo.firmware_gain * supply / servo.supply_voltage,
+        force_scale=1.0 if absolute else supply / servo.supply_voltage,
+        control=rig.control,
         command=_held_means(drive, start, steps, timestep),
+        lead=0,
+        supply=_supply_course(recording, start, steps, timestep),
         switches=switches,
         powered_first=powered_first,
         q0=float(position.y[0]),
@@ -113,11 +131,17 @@ def bench_run(recording: Recording, servo: Servo, timestep: float) -> BenchRun:
     )
 
 
-def _drive(recording: Recording, voltage_driven: bool) -> Signal:
+_DRIVES = {
+    "position": ("goal", "as positions on /joint_command"),
+    "voltage": ("voltage_command", "as an interface of /dynamic_joint_states"),
+    "force": ("force", "as an interface of /dynamic_joint_states"),
+}
+
+
+def _drive(recording: Recording) -> Signal:
     """What the servo was told; a fit without it would be a guess."""
-    name = "voltage_command" if voltage_driven else "goal"
+    name, topic = _DRIVES[recording.rig.control]
     if name not in recording.signals:
-        topic = "as an interface of /dynamic_joint_states" if voltage_driven else "as positions on /joint_command"
         raise LogError(
             f"{recording.name} has no '{name}' signal; it has {', '.join(sorted(recording.signals))}; "
             f"record the commands too, {topic}"
@@ -145,7 +169,7 @@ def _load(recording: Recording) -> tuple[float, float]:
     if rig.inertia is not None and rig.gravity_torque is not None:
         return max(rig.inertia, _NO_LOAD_INERTIA), rig.gravity_torque
     if rig.mass is None or rig.length is None:
-        if rig.control == "voltage":
+        if rig.control != "position":
             return _NO_LOAD_INERTIA, 0.0
         raise LogError(
             f"{recording.name}: the load is not known (mass and length, or inertia and gravity torque); "
@@ -208,15 +232,86 @@ def _held_means(drive: Signal, start: float, steps: int, timestep: float) -> Flo
     return np.asarray(np.diff(total) / timestep)
 
 
+def _supply_course(recording: Recording, start: float, steps: int, timestep: float) -> FloatArray:
+    """Supply in each step over its median while powered, shape (steps,)."""
+    measured = recording.signals.get("supply_voltage")
+    flat = np.ones(steps)
+    if measured is None or recording.rig.control != "position":
+        return flat
+    changes = int(np.count_nonzero(np.diff(measured.y)))
+    if changes < _SUPPLY_RATE * (measured.t[-1] - measured.t[0]):
+        return flat
+    course = np.interp((np.arange(steps) + 0.5) * timestep, measured.t - start, measured.y)
+    half = max(int(_SUPPLY_SMOOTHING / timestep / 2.0), 1)
+    total = np.concatenate([[0.0], np.cumsum(course)])
+    low, high = np.maximum(np.arange(steps) - half, 0), np.minimum(np.arange(steps) + half + 1, steps)
+    return np.asarray((total[high] - total[low]) / (high - low) / _supply(recording))
+
+
 def _starting_speed(t: FloatArray, y: FloatArray) -> float:
     """Speed at the first sample [rad/s] from a parabola through the first positions.
 
     The servo's own speed register is not used: it is filtered and late.
     """
-    count = int(np.searchsorted(t, _START_WINDOW, side="right"))
+    count = min(int(np.searchsorted(t, _START_WINDOW, side="right")), _START_SAMPLES)
     if count < 8 or np.ptp(y[:count]) < _STILL:
         return 0.0
     return float(np.polynomial.Polynomial.fit(t[:count], y[:count], 2).deriv()(0.0))
+
+
+def segments(run: BenchRun, seconds: float, timestep: float, lead: float = 0.1) -> list[BenchRun]:
+    """A run cut into pieces that start from measured states: multiple shooting for what diverges.
+
+    Args:
+        run: a whole recording.
+        seconds: length of a piece [s]; a rest shorter than half of it stays with the last.
+        timestep: of the grid [s].
+        lead: commands kept before each start [s], for those that are still under way.
+    """
+    count = max(round(run.t[-1] / seconds), 1)
+    edges = [int(np.searchsorted(run.t, i * run.t[-1] / count)) for i in range(count)] + [run.t.size - 1]
+    pieces = [_piece(run, i, a, b, timestep, lead) for i, (a, b) in enumerate(pairwise(edges))]
+    return [piece for piece in pieces if piece.t.size >= 3]
+
+
+def _piece(run: BenchRun, index: int, first: int, last: int, timestep: float, lead: float) -> BenchRun:
+    """Samples `first` to `last` as a run of its own; its grid starts at its first sample."""
+    cell = int(run.step[first])
+    shift = float(run.t[first]) - cell * timestep  # the piece's grid is the run's, moved by less than a step
+    t = run.t[first : last + 1] - run.t[first]
+    steps = int(np.ceil(t[-1] / timestep)) + 1
+    before = min(round(lead / timestep), cell)
+    share = shift / timestep
+    padded = np.append(run.command, [run.command[-1], run.command[-1]])
+    at = run.lead + cell - before + np.arange(before + steps)
+    at = np.minimum(at, padded.size - 2)
+    cells = np.minimum(np.floor(t / timestep), steps - 1)
+    turns = run.switches - run.t[first]
+    early = int(np.count_nonzero(turns <= 0.0))
+    # The segment's own first sample carries an encoder step of noise: its neighbours share it out.
+    around = slice(max(first - _START_SAMPLES // 2, 0), first + _START_SAMPLES // 2 + 1)
+    q0, dq0 = _local_state(run.t[around] - run.t[first], run.y[around])
+    return replace(
+        run,
+        name=f"{run.name}@{index}",
+        command=(1.0 - share) * padded[at] + share * padded[at + 1],
+        lead=before,
+        supply=run.supply[np.minimum(cell + np.arange(steps), run.supply.size - 1)],
+        switches=turns[early:],
+        powered_first=run.powered_first ^ bool(early % 2),
+        q0=run.q0 if first == 0 else q0,
+        dq0=run.dq0 if first == 0 else dq0,
+        t=t,
+        y=run.y[first : last + 1],
+        step=cells,
+        weight=t / timestep - cells,
+    )
+
+
+def _local_state(t: FloatArray, y: FloatArray) -> tuple[float, float]:
+    """Angle [rad] and speed [rad/s] at t = 0 from a parabola through the samples around it."""
+    fitted = np.polynomial.Polynomial.fit(t, y, min(2, t.size - 1))
+    return float(fitted(0.0)), float(fitted.deriv()(0.0))
 
 
 def runs_of(recordings: Sequence[Recording], servo: Servo, timestep: float) -> list[BenchRun]:

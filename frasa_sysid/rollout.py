@@ -18,36 +18,13 @@ from mujoco import rollout
 
 from frasa_sysid.calibration import load_model, sha256_of
 from frasa_sysid.errors import ModelError
+from frasa_sysid.kernel import slew_limited
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.rig import BenchRun
+from frasa_sysid.servo_values import NO_LIMIT, ServoValues
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _MEMORY = 96e6  # [bytes] of states in one call; larger batches are split
-
-
-@dataclass(frozen=True)
-class ServoValues:
-    """One candidate for the servo on the bench, in MuJoCo's terms.
-
-    Attributes:
-        kp: position gain [N m/rad] at the servo's stated supply and firmware gain.
-        forcerange: torque limit [N m] at the stated supply.
-        damping: powered, with back-EMF [N m s/rad].
-        damping_off: with the motor switched off [N m s/rad].
-        frictionloss: [N m].
-        armature: [kg m^2].
-        delay: of commands [s].
-        offset: encoder reading with the arm hanging straight down [rad].
-    """
-
-    kp: float
-    forcerange: float
-    damping: float
-    damping_off: float
-    frictionloss: float
-    armature: float
-    delay: float
-    offset: float
 
 
 @dataclass
@@ -55,6 +32,7 @@ class _Job:
     run: BenchRun
     values: ServoValues
     schedule: list[tuple[float, int]]  # (share of power, physics steps)
+    commands: FloatArray
     angle: FloatArray
     state: FloatArray
     done: int = 0
@@ -133,7 +111,9 @@ class BenchSimulator:
     def _job(self, run: BenchRun, values: ServoValues) -> _Job:
         angle = np.full(run.steps + 1, np.nan)
         angle[0] = run.q0 - values.offset
-        return _Job(run, values, _schedule(run, values.delay, self.timestep), angle, self._initial(run, values))
+        schedule = _schedule(run, values.delay, self.timestep)
+        commands = _commands(run, values, self.timestep)[run.lead :]
+        return _Job(run, values, schedule, commands, angle, self._initial(run, values))
 
     def _initial(self, run: BenchRun, values: ServoValues) -> FloatArray:
         """State at the start: measured angle and speed, history full of the first command."""
@@ -143,7 +123,10 @@ class BenchSimulator:
         data.qvel[0] = run.dq0
         size = int(self._model.actuator_history[0, 0])
         times = (np.arange(size) - size) * self.timestep
-        first = np.full(size, run.command[0] - (0.0 if run.voltage_driven else values.offset))
+        commands = _commands(run, values, self.timestep)
+        first = np.full(size, commands[0])
+        under_way = commands[: run.lead][-size:]
+        first[size - under_way.size :] = under_way
         mujoco.mj_initCtrlHistory(self._model, data, 0, times, first)
         state = np.empty(self._states)
         mujoco.mj_getState(self._model, data, state, _STATE)
@@ -164,11 +147,9 @@ class BenchSimulator:
         steps = max(job.schedule[phase][1] for job in jobs)
         commands = np.empty((len(jobs), steps, 1))
         for row, job in zip(commands, jobs, strict=True):
-            ahead = job.run.command[job.done : job.done + steps]
+            ahead = job.commands[job.done : job.done + steps]
             row[: ahead.size, 0] = ahead
-            row[ahead.size :, 0] = job.run.command[-1]
-            if not job.run.voltage_driven:
-                row -= job.values.offset
+            row[ahead.size :, 0] = job.commands[-1]
         models = self._models(len(jobs))
         for model, job in zip(models, jobs, strict=True):
             self._configure(model, job.run, job.values, job.schedule[phase][0])
@@ -191,10 +172,10 @@ class BenchSimulator:
     def _configure(self, model: mujoco.MjModel, run: BenchRun, values: ServoValues, power: float) -> None:
         """Write the load and a candidate into a model; `power` is 1 powered, 0 off, between: blended."""
         self._set_load(model, run)
-        gain = power * values.kp * (self._volt_scale if run.voltage_driven else run.kp_scale)
+        gain = power * drive_gain(values.kp, run, self._volt_scale)
         model.actuator_gainprm[0, 0] = gain
-        model.actuator_biasprm[0, 1] = 0.0 if run.voltage_driven else -gain
-        limit = 1e3 if run.voltage_driven else values.forcerange * run.force_scale
+        model.actuator_biasprm[0, 1] = 0.0 if run.absolute else -gain
+        limit = 1e6 if run.absolute else values.forcerange * run.force_scale
         model.actuator_forcerange[0] = (-limit, limit)
         model.actuator_delay[0] = values.delay
         model.dof_damping[0] = power * values.damping + (1.0 - power) * values.damping_off
@@ -210,6 +191,19 @@ class BenchSimulator:
         model.body_mass[self._body] = mass
         model.body_ipos[self._body] = (0.0, 0.0, -distance)
         model.body_inertia[self._body] = run.inertia - mass * distance**2
+
+
+def drive_gain(kp: float, run: BenchRun, volt_scale: float) -> float:
+    """Torque for each unit of command: N m/rad of a goal, N m/V of a voltage, one of a force."""
+    return {"position": kp * run.kp_scale, "voltage": kp * volt_scale, "force": 1.0}[run.control]
+
+
+def _commands(run: BenchRun, values: ServoValues, timestep: float) -> FloatArray:
+    """Commands as the joint angle counts, profile speed applied, shape (lead + steps,)."""
+    commands = run.command
+    if values.goal_speed < 0.1 * NO_LIMIT:
+        commands = slew_limited(commands, values.goal_speed * timestep)
+    return commands - (0.0 if run.absolute else values.offset)
 
 
 def _hinge(model: mujoco.MjModel, path: Path) -> int:

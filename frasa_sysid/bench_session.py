@@ -1,0 +1,76 @@
+"""One bench with its equations and threads: what a fit simulates with, and MuJoCo itself to check it by."""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from types import TracebackType
+
+from frasa_sysid.bench_kernel import BenchKernel, KernelOptions, kernel_options
+from frasa_sysid.calibration import load_model
+from frasa_sysid.recording import FloatArray
+from frasa_sysid.rig import BenchRun
+from frasa_sysid.rollout import BenchSimulator
+from frasa_sysid.servo import Servo
+
+
+class BenchSession:
+    """Makes kernels for sets of runs; use as a context manager, it owns threads.
+
+    Args:
+        model_path: `robot_model/bench_pendulum.xml`.
+        servo: with supply and gain at which kp is stated.
+        threads: worker threads; by default one per core.
+        timestep: another step [s] than the model's.
+    """
+
+    def __init__(
+        self, model_path: Path, servo: Servo, threads: int | None = None, timestep: float | None = None
+    ) -> None:
+        self.model_path, self.servo = model_path, servo
+        self.threads = threads or len(os.sched_getaffinity(0))
+        self.options: KernelOptions = kernel_options(load_model(model_path), timestep)
+        self._pool = ThreadPoolExecutor(self.threads)
+        self._model_step = float(load_model(model_path).opt.timestep)
+
+    def __enter__(self) -> "BenchSession":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._pool.shutdown(cancel_futures=True)
+
+    @property
+    def volt_scale(self) -> float:
+        """Torque per volt [N m/V] for each N m/rad of kp."""
+        return 1.0 / (self.servo.error_gain * self.servo.firmware_gain * self.servo.supply_voltage)
+
+    @property
+    def delay_range(self) -> tuple[float, float]:
+        """Shortest and longest command delay that the bench model tells apart [s]; see `BenchSimulator`."""
+        with self.mujoco() as simulator:
+            return simulator.delay_range
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of the compiled model and of the step: what it is, whatever file it came from."""
+        with self.mujoco() as simulator:
+            return f"{simulator.fingerprint} {self.options.timestep!r}"
+
+    @property
+    def publishable(self) -> bool:
+        """Whether the fit's step is the model's, so that MuJoCo replays it."""
+        return self.options.timestep == self._model_step
+
+    def kernel(self, runs: Sequence[BenchRun]) -> BenchKernel:
+        """The compiled simulation of some runs."""
+        return BenchKernel(runs, self.options, self.volt_scale, self.servo.supply_voltage, self._pool, self.threads)
+
+    def mujoco(self) -> BenchSimulator:
+        """The same bench through MuJoCo."""
+        return BenchSimulator(self.model_path, self.volt_scale, self.threads)
+
+    def split(self, kernel: BenchKernel, candidates: FloatArray) -> list[list[FloatArray]]:
+        """Readings of each candidate as an array for each run [rad]."""
+        return [kernel.split(row) for row in kernel.readings(candidates)]
