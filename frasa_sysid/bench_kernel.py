@@ -8,21 +8,30 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from types import TracebackType
+from typing import Any
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
+from numba import njit
 
+from frasa_sysid import kernel as k
 from frasa_sysid.calibration.friction import FIELDS as FRICTION_FIELDS
+from frasa_sysid.calibration.friction import LOG2_LOG2_E
 from frasa_sysid.cost import robust_costs, rooted_residuals
 from frasa_sysid.errors import ModelError
 from frasa_sysid.kernel import LANES, ROWS, IntArray, simulate_blocks
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.rig import BenchRun
 from frasa_sysid.rollout import drive_gain
-from frasa_sysid.servo_values import COLUMN
+from frasa_sysid.servo_values import COLUMN, FIELDS, NO_LIMIT
 
 _PUNCH_WIDTH = 2.0 * np.pi / 4096  # [rad] one count: what the firmware can see as an error at all
 _LONGEST = 0.1  # share of all threads' work that one task may have, for an even finish
+_RECORD = np.dtype([(name, np.float64) for name in FIELDS])
+_LAW = [COLUMN[name] for name in FRICTION_FIELDS[1:] if name not in ("stribeck_speed", "stribeck_exponent")]
+_NEUTRAL = {"sag": 0.0, "follow": 0.0, "punch": 0.0, "dead_zone": 0.0, "collapse_to": 1.0, "bias": 0.0}
+_EFFECTS, _NO_EFFECTS = [COLUMN[name] for name in _NEUTRAL], np.array(list(_NEUTRAL.values()))
 _UNLIMITED = 1e6  # [N m] torque limit of volts and forces, which have none
 
 
@@ -92,15 +101,7 @@ class BenchKernel:
         self.runs = list(runs)
         self.options = options
         self._pool, self._threads = pool, threads
-        self._absolute = np.array([run.absolute for run in runs])
-        self._gain = np.array([drive_gain(1.0, run, volt_scale) for run in runs])
-        self._force = np.array([run.force_scale for run in runs])
-        self._free_gain = np.array([run.control != "force" for run in runs])
-        self._reference = supply * self._gain  # torque at full supply of voltage-driven runs, for each N m/rad of kp
-        self._inertia = np.array([run.inertia for run in runs])
-        self._gravity = np.array([run.gravity_torque for run in runs])
-        self._q0 = np.array([run.q0 for run in runs])
-        self._dq0 = np.array([run.dq0 for run in runs])
+        self._rigs = _rigs(runs, volt_scale, supply)
         self._start = _starts([run.steps for run in runs])
         self._samples = _starts([run.t.size for run in runs])
         self._fixed = (
@@ -112,7 +113,6 @@ class BenchKernel:
             np.concatenate([run.switches for run in runs]),
             _starts([run.switches.size for run in runs]),
             np.array([run.powered_first for run in runs]),
-            self._absolute,
             np.concatenate([run.step for run in runs]).astype(np.int64),
             np.concatenate([run.weight for run in runs]),
             self._samples,
@@ -148,37 +148,36 @@ class BenchKernel:
             starts: what to add to angle and speed at each run's start, shape (m, n, 2).
         """
         m, n = len(candidates), len(self.runs)
+        candidates = np.ascontiguousarray(candidates, np.float64)
         out = np.full((m, self.size), np.nan)
         if m == 0:
             return out
         lanes = self._lanes(m)
-        candidate, run = lanes % m, lanes // m
-        filled = -(-lanes.size // LANES) * LANES
-        candidate = np.concatenate([candidate, np.repeat(candidate[-1:], filled - lanes.size)])
-        run = np.concatenate([run, np.repeat(run[-1:], filled - lanes.size)])
-        value = candidates[candidate].T
-        offset = value[COLUMN["offset"]] + (offsets[candidate, run] if offsets is not None else 0.0)
-        moved = starts[candidate, run] if starts is not None else np.zeros((filled, 2))
-        blocks = filled // LANES
+        blocks = -(-lanes.size // LANES)
         shape = (blocks, LANES)
-        owner = candidate.astype(np.int64)
-        owner[lanes.size :] = -1
-        arguments = (
+        fill = np.full(blocks * LANES - lanes.size, lanes[-1])
+        owner = np.concatenate([lanes % m, np.full(fill.size, -1)]).reshape(shape)
+        pairs = np.concatenate([lanes, fill]).reshape(shape)
+        w = np.empty((blocks, ROWS * LANES))
+        q0, v0, offset, delay = np.empty((4, *shape))
+        _fill_lanes(
+            candidates.view(_RECORD)[:, 0],
+            np.zeros((m, n)) if offsets is None else np.ascontiguousarray(offsets),
+            np.zeros((m, n, 2)) if starts is None else np.ascontiguousarray(starts),
+            pairs,
+            self._rigs,
             self.options.timestep,
-            self._numbers(value, run).reshape(ROWS, blocks, LANES).transpose(1, 0, 2).reshape(blocks, ROWS * LANES),
-            (self._q0[run] - offset + moved[:, 0]).reshape(shape),
-            (self._dq0[run] + moved[:, 1]).reshape(shape),
-            offset.reshape(shape),
-            value[COLUMN["delay"]].reshape(shape),
-            value[COLUMN["goal_speed"]].reshape(shape),
-            value[COLUMN["follow"]].reshape(shape),
-            run.astype(np.int64).reshape(shape),
-            owner.reshape(shape),
-            *self._fixed,
-            out,
+            self.options.creep,
+            w,
+            q0,
+            v0,
+            offset,
+            delay,
         )
-        arguments = tuple(np.ascontiguousarray(one) if isinstance(one, np.ndarray) else one for one in arguments)
-        self._share(blocks, lambda part: simulate_blocks(part, *arguments))
+        law = bool(candidates[:, _LAW].any())
+        effects = bool((candidates[:, _EFFECTS] != _NO_EFFECTS).any())
+        arguments = (law, effects, self.options.timestep, w, q0, v0, offset, delay, pairs // m, owner, *self._fixed)
+        self._share(blocks, lambda part: simulate_blocks(part, *arguments, out))
         return out
 
     def costs(self, candidates: FloatArray, offsets: FloatArray | None = None) -> FloatArray:
@@ -205,31 +204,6 @@ class BenchKernel:
         order = np.argsort(-np.diff(self._start), kind="stable")
         return np.asarray((order[:, None] * m + np.arange(m)).ravel(), np.int64)
 
-    def _numbers(self, value: FloatArray, run: IntArray) -> FloatArray:
-        """The rows that the kernel reads, shape (ROWS, lanes)."""
-
-        def of(name: str) -> FloatArray:
-            return value[COLUMN[name]]
-
-        absolute = self._absolute[run]
-        gain = np.where(self._free_gain[run], of("kp"), 1.0) * self._gain[run]
-        limit = np.where(absolute, _UNLIMITED, of("forcerange") * self._force[run])
-        stall = np.where(absolute, self._reference[run] * of("kp"), limit)
-        w = np.empty((ROWS, run.size))
-        w[0], w[1], w[2] = gain, limit, self._gravity[run]
-        w[3], w[4] = of("damping_off"), of("damping") - of("damping_off")
-        w[5], w[6] = self._inertia[run] + of("armature"), self.options.creep
-        w[7] = of("frictionloss")
-        for row, name in enumerate(FRICTION_FIELDS[1:], start=8):
-            w[row] = of(name)
-        w[17] = of("sag") / np.maximum(stall, 1e-9) ** 2
-        w[18], w[19], w[20] = of("punch"), 1.0 / _PUNCH_WIDTH, of("dead_zone")
-        w[21], w[22] = np.where(absolute, 1e12, of("collapse_at")), of("collapse_to")
-        w[18] = np.where(absolute, 0.0, w[18])
-        w[20] = np.where(absolute, 0.0, w[20])
-        w[23], w[24] = np.where(absolute, 0.0, 1.0), of("bias")
-        return w
-
     def _share(self, count: int, work: Callable[[IntArray], object]) -> None:
         """Do `count` pieces of work in the threads."""
         if count == 0:
@@ -241,7 +215,66 @@ class BenchKernel:
         list(self._pool.map(work, [np.arange(i, count, parts) for i in range(parts)]))
 
 
+@njit(nogil=True, error_model="numpy", cache=True)
+def _fill_lanes(
+    candidates: Any,  # noqa: ANN401 (records have no type)
+    offsets: FloatArray,
+    starts: FloatArray,
+    pairs: IntArray,
+    rigs: Any,  # noqa: ANN401
+    h: float,
+    creep: float,
+    w: FloatArray,
+    q0: FloatArray,
+    v0: FloatArray,
+    offset: FloatArray,
+    delay: FloatArray,
+) -> None:
+    """Write every lane's numbers, in the rows that the kernel reads, from its candidate and its run.
+
+    Records of m `candidates` and of n `rigs` (`_rigs`), `offsets` and `starts` as in `BenchKernel.readings`, pairs
+    run * m + candidate of each lane (blocks, 16), step h [s] and `creep` [1/s] give w (blocks, ROWS * 16), q0 [rad],
+    v0 [rad/s], `offset` [rad] and `delay` [s] (blocks, 16).
+    """
+    m = len(candidates)
+    for block in range(len(pairs)):
+        for i in range(LANES):
+            r, c = divmod(pairs[block, i], m)
+            x, rig, lane = candidates[c], rigs[r], w[block, i:]
+            zero = x.offset + offsets[c, r]
+            offset[block, i], delay[block, i] = zero, x.delay
+            q0[block, i], v0[block, i] = rig.q0 - zero + starts[c, r, 0], rig.dq0 + starts[c, r, 1]
+            # Volts and torques meet no position error: nothing to track, to shift, to widen or to hold back.
+            tracks = 1.0 - rig.absolute
+            limit = x.forcerange * rig.force_scale if tracks else _UNLIMITED
+            stall = limit if tracks else rig.full * x.kp
+            lane[k.GAIN], lane[k.LIMIT], lane[k.TRACK] = rig.gain * (x.kp if rig.has_kp else 1.0), limit, tracks
+            lane[k.PART] = x.delay / h - np.floor(x.delay / h)
+            lane[k.KEPT], lane[k.SHIFT] = 1.0 - lane[k.PART], -zero * tracks
+            lane[k.GOAL_STEP] = x.goal_speed * h if x.goal_speed < 0.1 * NO_LIMIT else np.inf
+            lane[k.MASS] = rig.inertia + x.armature
+            lane[k.GRAVITY], lane[k.HOLD], lane[k.COULOMB] = -rig.gravity, creep * lane[k.MASS], x.frictionloss
+            lane[k.DAMPING_OFF], lane[k.BACK_ON] = x.damping_off, x.damping - x.damping_off
+            lane[k.STRIBECK], lane[k.LOAD_M], lane[k.LOAD_E] = x.stribeck, x.load_motor, x.load_external
+            lane[k.STATIC_M], lane[k.STATIC_E] = x.load_motor_stribeck, x.load_external_stribeck
+            lane[k.QUAD_M], lane[k.QUAD_E], lane[k.EXPONENT] = x.quad_motor, x.quad_external, x.stribeck_exponent
+            lane[k.FADE_SHIFT] = LOG2_LOG2_E - x.stribeck_exponent * np.log2(x.stribeck_speed)
+            lane[k.SAG], lane[k.BACK_EMF] = x.sag / max(stall, 1e-9) ** 2, lane[k.BACK_ON]
+            lane[k.FOLLOW], lane[k.BIAS], lane[k.STEEP] = x.follow, x.bias, 1.0 / _PUNCH_WIDTH
+            lane[k.PUNCH], lane[k.DEAD] = x.punch * tracks, x.dead_zone * tracks
+            lane[k.COLLAPSE_AT], lane[k.COLLAPSE_TO] = x.collapse_at if tracks else np.inf, x.collapse_to
+
+
+def _rigs(runs: Sequence[BenchRun], volt_scale: float, supply: float) -> npt.NDArray[np.void]:
+    """What is constant in each run, as records: torque per command for each N m/rad of kp, at full supply, ..."""
+    names = ("absolute", "has_kp", "gain", "force_scale", "full", "inertia", "gravity", "q0", "dq0")
+    rows = []
+    for run in runs:
+        gain = drive_gain(1.0, run, volt_scale)
+        command = (run.absolute, run.control != "force", gain, run.force_scale, supply * gain)
+        rows.append((*command, run.inertia, run.gravity_torque, run.q0, run.dq0))
+    return np.array(rows, [(name, np.float64) for name in names])
+
+
 def _starts(sizes: Sequence[int]) -> IntArray:
     return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-
-

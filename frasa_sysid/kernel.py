@@ -13,79 +13,111 @@ b belongs to MuJoCo's reference acceleration of a friction row (solref, solimp);
 implicit damping in the Euler integrator. Tests hold this against `mujoco` itself.
 
 Sixteen simulations ("lanes", pairs of a candidate and a run) go through every step together, so
-that the compiler uses vector instructions; there is no call and no branch in the inner loop.
+that the compiler uses vector instructions; there is no call and no branch in the inner loop. What
+most fits do not need (friction laws beyond M1, effects) is left out of loops of their own, and gives
+the same bits as the full loop with zeros: products are fused by name only (`fma`).
 """
+
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from frasa_sysid.calibration.fast_math import fast_sin
-from frasa_sysid.calibration.friction import friction_loss
+from frasa_sysid.calibration.fast_math import fast_sin, fma
+from frasa_sysid.calibration.friction import faded_loss, stribeck_fade
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 LANES = 16
-ROWS = 25  # numbers a lane has, in the order `_steps` reads them (see `bench_kernel`)
-_CHUNK = 256  # steps whose inputs are laid out side by side before they are simulated: they fit the first cache
+# Numbers a lane has, each a row of 16: where its row starts. First what every lane needs ...
+GAIN, LIMIT, TRACK, KEPT, PART, SHIFT, GRAVITY, HOLD, COULOMB = (LANES * row for row in range(9))
+# ... what changes with the power (`_set_power`) and what it follows from ...
+POWER, DAMPING, BACK, ADVANCE, DAMPING_OFF, BACK_ON, MASS = (LANES * row for row in range(9, 16))
+# ... of the friction law ...
+STRIBECK, LOAD_M, LOAD_E, STATIC_M, STATIC_E, QUAD_M, QUAD_E, EXPONENT, FADE_SHIFT = (
+    LANES * row for row in range(16, 25)
+)
+# ... and of effects.
+SAG, BACK_EMF, FOLLOW, PUNCH, STEEP, DEAD, COLLAPSE_AT, COLLAPSE_TO, BIAS, GOAL_STEP = (
+    LANES * row for row in range(25, 35)
+)
+ROWS = 35
+_CHUNK = 128  # steps whose inputs are laid out side by side before they are simulated: they fit the first cache
 _BEYOND = 1e3  # [rad] a simulation that got here has diverged
-_NO_LIMIT = 1e5  # [rad/s] goal speed limits from here on are none
+_NO_LIMIT = 1e3  # [rad] goal steps from here on are not limited
 
 
-# NaN and infinity are left to IEEE on purpose: "fast" forms would drop the clipping of a diverging simulation.
-@njit(nogil=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"}, cache=True)  # type: ignore[untyped-decorator]
-def _steps(
-    h: float, count: int, w: FloatArray, q_state: FloatArray, v_state: FloatArray, u: FloatArray, out: FloatArray
-) -> None:
-    """Advance all lanes by `count` steps; u holds goal, supply and power of each step, `out` gets the angles."""
-    for k in range(count):
-        o = k * LANES
-        for i in range(LANES):
-            q = q_state[i]
-            v = v_state[i]
-            goal = u[3 * o + i]
-            supply = u[3 * o + LANES + i]
-            power = u[3 * o + 2 * LANES + i]
-            # The firmware: dead zone, punch, duty limit, gain collapse; then the supply under load.
-            error = goal - w[23 * LANES + i] * q
-            error = error - min(max(error, -w[20 * LANES + i]), w[20 * LANES + i])
-            pushed = error + w[18 * LANES + i] * min(max(error * w[19 * LANES + i], -1.0), 1.0)
-            asked = min(max(w[i] * pushed, -w[LANES + i]), w[LANES + i])
-            asked = asked * (1.0 if abs(error) < w[21 * LANES + i] else w[22 * LANES + i])
-            back = w[4 * LANES + i] * v
-            sagged = supply * (1.0 - w[17 * LANES + i] * asked * (asked * supply - back))
-            act = power * asked * sagged
-            external = w[24 * LANES + i] - w[2 * LANES + i] * fast_sin(q)
-            damping = w[3 * LANES + i] + power * w[4 * LANES + i]
-            bound = friction_loss(
-                act - power * back,
-                external,
-                v,
-                w[7 * LANES + i],
-                w[8 * LANES + i],
-                w[9 * LANES + i],
-                w[10 * LANES + i],
-                w[11 * LANES + i],
-                w[12 * LANES + i],
-                w[13 * LANES + i],
-                w[14 * LANES + i],
-                w[15 * LANES + i],
-                w[16 * LANES + i],
-            )
-            mass = w[5 * LANES + i]
-            smooth = act + external - damping * v
-            f = -(smooth + mass * w[6 * LANES + i] * v)
-            f = min(max(f, -bound), bound)
-            v = v + h * (smooth + f) / (mass + h * damping)
-            q = q + h * v
-            q = min(max(q, -2.0 * _BEYOND), 2.0 * _BEYOND)
-            q_state[i] = q
-            v_state[i] = v
-            out[o + i] = q
+def _stepper(law: bool, effects: bool) -> Any:  # noqa: ANN401 (numba's functions have no type)
+    """The loop over steps, with or without what lies beyond M1 and beyond a linear motor."""
+
+    @njit(nogil=True, error_model="numpy", fastmath={"nsz"}, cache=True)
+    def steps(
+        h: float,
+        count: int,
+        w: FloatArray,
+        q_state: FloatArray,
+        v_state: FloatArray,
+        command: FloatArray,
+        supply: FloatArray,
+        out: FloatArray,
+    ) -> None:
+        """Advance all lanes by `count` steps; commands are one row ahead, for the one before."""
+        for k in range(count):
+            o = k * LANES
+            for i in range(LANES):
+                q = q_state[i]
+                v = v_state[i]
+                # As MuJoCo's history interpolates linearly between the commands of two steps.
+                goal = fma(w[PART + i], command[o + i], fma(w[KEPT + i], command[o + LANES + i], w[SHIFT + i]))
+                error = fma(-w[TRACK + i], q, goal)
+                external = w[GRAVITY + i] * fast_sin(q)
+                if effects:
+                    external = external + w[BIAS + i]
+                    # The firmware: dead zone, punch, duty limit, gain collapse; then the supply under load.
+                    error = error - min(max(error, -w[DEAD + i]), w[DEAD + i])
+                    pushed = fma(w[PUNCH + i], min(max(error * w[STEEP + i], -1.0), 1.0), error)
+                    asked = min(max(w[GAIN + i] * pushed, -w[LIMIT + i]), w[LIMIT + i])
+                    asked = asked * (1.0 if abs(error) < w[COLLAPSE_AT + i] else w[COLLAPSE_TO + i])
+                    volts = fma(w[FOLLOW + i], supply[o + i] - 1.0, 1.0)
+                    spent = fma(asked, volts, -w[BACK_EMF + i] * v)
+                    act = w[POWER + i] * asked * (volts * fma(-w[SAG + i] * asked, spent, 1.0))
+                else:
+                    act = w[POWER + i] * min(max(w[GAIN + i] * error, -w[LIMIT + i]), w[LIMIT + i])
+                bound = w[COULOMB + i]
+                if law:
+                    bound = faded_loss(
+                        fma(-w[BACK + i], v, act),
+                        external,
+                        stribeck_fade(v, w[EXPONENT + i], w[FADE_SHIFT + i]),
+                        bound,
+                        w[STRIBECK + i],
+                        w[LOAD_M + i],
+                        w[LOAD_E + i],
+                        w[STATIC_M + i],
+                        w[STATIC_E + i],
+                        w[QUAD_M + i],
+                        w[QUAD_E + i],
+                    )
+                smooth = fma(-w[DAMPING + i], v, act + external)
+                f = min(max(-fma(w[HOLD + i], v, smooth), -bound), bound)
+                v = fma(w[ADVANCE + i], smooth + f, v)
+                q = fma(h, v, q)
+                q_state[i] = q
+                v_state[i] = v
+                out[o + LANES + i] = q
+
+    return steps
 
 
-@njit(nogil=True, error_model="numpy", cache=True)  # type: ignore[untyped-decorator]
+_steps_plain = _stepper(law=False, effects=False)
+_steps_effects = _stepper(law=False, effects=True)
+_steps_law = _stepper(law=True, effects=False)
+_steps_full = _stepper(law=True, effects=True)
+
+
+@njit(nogil=True, error_model="numpy", cache=True)
 def slew_limited(command: FloatArray, most: float) -> FloatArray:
     """A goal that moves by at most `most` [rad] each step, shape as given: the firmware's profile speed."""
     out = np.empty_like(command)
@@ -96,62 +128,68 @@ def slew_limited(command: FloatArray, most: float) -> FloatArray:
     return out
 
 
-@njit(nogil=True, error_model="numpy", cache=True)  # type: ignore[untyped-decorator]
-def _lay_out(
-    u: FloatArray,
-    first: int,
-    count: int,
-    lane: int,
-    command: FloatArray,
-    supply: FloatArray,
-    follow: float,
-    lead: int,
-    h: float,
-    delay: float,
-    offset: float,
-    switches: FloatArray,
-    powered_first: bool,
+@njit(nogil=True, error_model="numpy", cache=True)
+def _slew_rows(u: FloatArray, count: int, most: FloatArray) -> None:
+    """The same in place for rows of 16 lanes; row 0 is already limited."""
+    for k in range(count):
+        o = k * LANES
+        for i in range(LANES):
+            limited = u[o + i] + min(max(u[o + LANES + i] - u[o + i], -most[i]), most[i])
+            u[o + LANES + i] = limited if most[i] < _NO_LIMIT else u[o + LANES + i]
+
+
+@njit(nogil=True, error_model="numpy", cache=True)
+def _side_by_side(
+    u: FloatArray, values: FloatArray, begin: IntArray, first: int, count: int, low: IntArray, high: IntArray
 ) -> None:
-    """Inputs of one lane for `count` steps from `first` on: delayed goal, supply, share of power."""
-    shift = delay / h
-    whole = int(np.floor(shift))
-    part = shift - whole
-    last = command.size - 1
-    last_supply = supply.size - 1
-    start = 1.0 if powered_first else 0.0
-    for j in range(count):
-        k = first + j
-        a = min(max(k + lead - whole, 0), last)
-        b = min(max(k + lead - whole - 1, 0), last)
-        base = 3 * j * LANES + lane
-        # As MuJoCo's history interpolates linearly between the commands of two steps.
-        u[base] = (1.0 - part) * command[a] + part * command[b] - offset
-        u[base + LANES] = 1.0 + follow * (supply[min(k, last_supply)] - 1.0)
-        u[base + 2 * LANES] = start
-    power = powered_first
-    for s in range(switches.size):
+    """Rows of 16 values: lane i's from begin[i] + first on, kept within low[i] to high[i]."""
+    for i in range(LANES):
+        a = begin[i] + first
+        if a >= low[i] and a + count - 1 <= high[i]:
+            for k in range(count):
+                u[k * LANES + i] = values[a + k]
+        else:
+            for k in range(count):
+                u[k * LANES + i] = values[min(max(a + k, low[i]), high[i])]
+
+
+@njit(nogil=True, error_model="numpy", cache=True)
+def _set_power(h: float, w: FloatArray, i: int, late: float, switches: FloatArray, powered_first: bool, k: int) -> int:
+    """Set what depends on the power of lane i in step k; the first later step in which it may differ."""
+    power = level = 1.0 if powered_first else 0.0
+    until = np.iinfo(np.int64).max
+    for turn in switches:
         # The torque flag travels the same way as the goals, so it is late by the same delay.
-        edge = (switches[s] + delay) / h
+        edge = (turn + late) / h
         cell = int(np.floor(edge))
-        before = 1.0 if power else 0.0
-        after = 1.0 - before
-        power = not power
-        for j in range(max(cell - first, 0), count):
-            share = edge - cell if first + j == cell else 0.0
-            u[3 * j * LANES + 2 * LANES + lane] = share * before + (1.0 - share) * after
+        if cell > k:
+            until = min(until, cell)
+            break
+        turned = 1.0 - 2.0 * level
+        level = 1.0 - level
+        if cell == k:
+            power += turned * (1.0 - (edge - cell))
+            until = k + 1
+        else:
+            power += turned
+    w[POWER + i] = power
+    w[BACK + i] = power * w[BACK_ON + i]
+    w[DAMPING + i] = w[DAMPING_OFF + i] + w[BACK + i]
+    w[ADVANCE + i] = h / (w[MASS + i] + h * w[DAMPING + i])
+    return until
 
 
-@njit(nogil=True, error_model="numpy", cache=True)  # type: ignore[untyped-decorator]
+@njit(nogil=True, error_model="numpy", cache=True)
 def simulate_blocks(
     blocks: IntArray,
+    law: bool,
+    effects: bool,
     h: float,
-    w: FloatArray,
+    numbers: FloatArray,
     q0: FloatArray,
     v0: FloatArray,
     offset: FloatArray,
     delay: FloatArray,
-    goal_speed: FloatArray,
-    follow: FloatArray,
     run: IntArray,
     candidate: IntArray,
     command: FloatArray,
@@ -162,7 +200,6 @@ def simulate_blocks(
     switches: FloatArray,
     switch_start: IntArray,
     powered_first: npt.NDArray[np.bool_],
-    absolute: npt.NDArray[np.bool_],
     step: IntArray,
     weight: FloatArray,
     sample_start: IntArray,
@@ -170,64 +207,81 @@ def simulate_blocks(
 ) -> None:
     """Simulate blocks of 16 lanes and write their readings at the measured times.
 
-    Args:
-        blocks: which blocks this call does.
-        h: step [s].
-        w: numbers of each lane, shape (blocks, ROWS * 16).
-        q0, v0: start of each lane [rad], [rad/s], (blocks, 16).
-        offset, delay, goal_speed, follow: of each lane [rad], [s], [rad/s], [1], (blocks, 16).
-        run, candidate: indices of each lane, (blocks, 16); candidate -1 is a lane that only fills up.
-        command: all runs one after another, run r from command_start[r] on, with its lead.
-        supply: likewise, one for each step: run r from start[r] to start[r + 1].
-        switches, powered_first: of the torque flag, likewise.
-        absolute: whether a run's commands are volts or torques, which no encoder offset shifts.
-        step, weight: position of each measured time on the grid, run r from sample_start[r] on.
-        out: readings [rad], (candidates, samples); NaN where the simulation diverged.
+    The numbers `blocks` say which blocks this call does; `law` and `effects` whether any lane has friction
+    beyond M1, and any effects; h is the step [s].
+
+    Of each lane, (blocks, 16): its `numbers` (blocks, ROWS * 16), q0 [rad], v0 [rad/s], zero `offset` [rad], `delay`
+    [s], and its `run` and `candidate` as indices; candidate -1 is a lane that only fills up.
+
+    Of the runs, one after another: `command` with its lead, run r from command_start[r] on; `supply`, one for each
+    step, from start[r] to start[r + 1]; `switches` of the torque flag [s], which is `powered_first`; and the measured
+    times as positions `step` and `weight` on the grid, from sample_start[r] on.
+
+    The result `out` are readings [rad], (candidates, samples); NaN where the simulation diverged.
     """
-    u = np.empty(3 * _CHUNK * LANES)
-    for n in range(blocks.size):
-        block = blocks[n]
+    goals = np.empty((_CHUNK + 1) * LANES)
+    volts = np.ones(_CHUNK * LANES)
+    angles = np.empty((_CHUNK + 1) * LANES)
+    begin, low, high, begin_volts, low_volts, high_volts, until, sample = np.empty((8, LANES), np.int64)
+    for block in blocks:
+        w = numbers[block].copy()
+        q, v = q0[block].copy(), v0[block].copy()
         steps = 0
-        for i in range(LANES):
-            steps = max(steps, start[run[block, i] + 1] - start[run[block, i]])
-        angles = np.empty((steps + 1) * LANES)
-        q = q0[block].copy()
-        v = v0[block].copy()
-        angles[:LANES] = q
-        limited = [command[:0] for _ in range(LANES)]
+        slow = follows = False
         for i in range(LANES):
             r = run[block, i]
-            limited[i] = command[command_start[r] : command_start[r + 1]]
-            if goal_speed[block, i] < _NO_LIMIT:
-                limited[i] = slew_limited(limited[i], goal_speed[block, i] * h)
-        for first in range(0, steps, _CHUNK):
-            count = min(_CHUNK, steps - first)
+            steps = max(steps, start[r + 1] - start[r])
+            low[i], high[i] = command_start[r], command_start[r + 1] - 1
+            low_volts[i], high_volts[i] = start[r], start[r + 1] - 1
+            begin_volts[i] = start[r]
+            begin[i] = low[i] + lead[r] - int(np.floor(delay[block, i] / h))
+            sample[i] = sample_start[r]
+            until[i] = 0
+            slow = slow or w[GOAL_STEP + i] < _NO_LIMIT
+            follows = follows or w[FOLLOW + i] != 0.0
+        _side_by_side(goals, command, begin, -1, 1, low, high)
+        if slow:
             for i in range(LANES):
-                r = run[block, i]
-                _lay_out(
-                    u,
-                    first,
-                    count,
-                    i,
-                    limited[i],
-                    supply[start[r] : start[r + 1]],
-                    follow[block, i],
-                    lead[r],
-                    h,
-                    delay[block, i],
-                    0.0 if absolute[r] else offset[block, i],
-                    switches[switch_start[r] : switch_start[r + 1]],
-                    powered_first[r],
-                )
-            _steps(h, count, w[block], q, v, u, angles[(first + 1) * LANES :])
-        for i in range(LANES):
-            c = candidate[block, i]
-            if c < 0:
-                continue
-            r = run[block, i]
-            last = start[r + 1] - start[r]
-            for j in range(sample_start[r], sample_start[r + 1]):
-                low = angles[step[j] * LANES + i]
-                high = angles[min(step[j] + 1, last) * LANES + i]
-                reading = low + weight[j] * (high - low) + offset[block, i]
-                out[c, j] = reading if abs(reading) < _BEYOND else np.nan
+                goal = command[low[i]]
+                if w[GOAL_STEP + i] < _NO_LIMIT:
+                    for k in range(low[i], begin[i]):
+                        goal += min(max(command[k] - goal, -w[GOAL_STEP + i]), w[GOAL_STEP + i])
+                    goals[i] = goal
+        first = 0
+        while first < steps:
+            stop = min(first + _CHUNK, steps)
+            for i in range(LANES):
+                if until[i] <= first:
+                    r = run[block, i]
+                    flags = switches[switch_start[r] : switch_start[r + 1]]
+                    until[i] = _set_power(h, w, i, delay[block, i], flags, powered_first[r], first)
+                stop = min(stop, until[i])
+            count = stop - first
+            _side_by_side(goals[LANES:], command, begin, first, count, low, high)
+            if slow:
+                _slew_rows(goals, count, w[GOAL_STEP : GOAL_STEP + LANES])
+            if follows:
+                _side_by_side(volts, supply, begin_volts, first, count, low_volts, high_volts)
+            angles[:LANES] = q
+            if law and effects:
+                _steps_full(h, count, w, q, v, goals, volts, angles)
+            elif law:
+                _steps_law(h, count, w, q, v, goals, volts, angles)
+            elif effects:
+                _steps_effects(h, count, w, q, v, goals, volts, angles)
+            else:
+                _steps_plain(h, count, w, q, v, goals, volts, angles)
+            goals[:LANES] = goals[count * LANES : (count + 1) * LANES]
+            for i in range(LANES):
+                c = candidate[block, i]
+                if c < 0:
+                    continue
+                j = sample[i]
+                end = sample_start[run[block, i] + 1]
+                while j < end and step[j] < stop:
+                    o = (step[j] - first) * LANES + i
+                    reading = fma(weight[j], angles[o + LANES] - angles[o], angles[o]) + offset[block, i]
+                    out[c, j] = reading if abs(reading) < _BEYOND else np.nan
+                    j += 1
+                sample[i] = j
+            first = stop

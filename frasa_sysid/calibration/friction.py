@@ -24,6 +24,7 @@ M6   quadratic                            as M5, and Q_m, Q_e
 ==== ==================================== =================================================
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from types import MappingProxyType
@@ -33,11 +34,11 @@ import numpy.typing as npt
 from numba import njit
 
 from frasa_sysid.calibration.errors import UsageError
-from frasa_sysid.calibration.fast_math import fast_exp2, fast_log2
+from frasa_sysid.calibration.fast_math import fast_exp2, fast_log2, fma
 
 FloatArray = npt.NDArray[np.float64]
 LAWS = ("m1", "m2", "m3", "m4", "m5", "m6")
-_LOG2_E = 1.4426950408889634
+LOG2_LOG2_E = math.log2(math.log2(math.e))
 
 # Coefficients each law has beyond the viscous and the Coulomb one, and (after `=`) those that follow another.
 _STRIBECK = ("stribeck", "stribeck_speed", "stribeck_exponent")
@@ -133,7 +134,41 @@ def check_law(law: str) -> str:
     return law
 
 
-@njit(inline="always")  # type: ignore[untyped-decorator]
+@njit(inline="always")
+def stribeck_fade(speed: float, exponent: float, shift: float) -> float:
+    """S of the law: 1 at standstill, falling with speed [rad/s].
+
+    Args:
+        speed: joint speed [rad/s].
+        exponent: alpha.
+        shift: log2(log2 e) - alpha log2(stribeck_speed), which is constant while speeds change.
+    """
+    return fast_exp2(-fast_exp2(fma(exponent, fast_log2(abs(speed)), shift)))
+
+
+@njit(inline="always")
+def faded_loss(
+    motor: float,
+    external: float,
+    fade: float,
+    coulomb: float,
+    stribeck: float,
+    load_motor: float,
+    load_external: float,
+    load_motor_stribeck: float,
+    load_external_stribeck: float,
+    quad_motor: float,
+    quad_external: float,
+) -> float:
+    """The law without its viscous part [N m], its `stribeck_fade` given."""
+    loaded = abs(fma(load_external, external, -load_motor * motor))
+    static = abs(fma(load_external_stribeck, external, -load_motor_stribeck * motor))
+    squared = quad_external * external * external if abs(motor) > abs(external) else quad_motor * motor * motor
+    squared = squared if motor * external < 0.0 else 0.0
+    return fma(fade, stribeck + static + squared, coulomb + loaded)
+
+
+@njit(inline="always")
 def friction_loss(
     motor: float,
     external: float,
@@ -153,9 +188,17 @@ def friction_loss(
 
     The viscous part is not in the bound but in the joint's damping, as in MuJoCo.
     """
-    fade = fast_exp2(-_LOG2_E * fast_exp2(stribeck_exponent * fast_log2(abs(speed) / stribeck_speed)))
-    loaded = abs(load_external * external - load_motor * motor)
-    static = abs(load_external_stribeck * external - load_motor_stribeck * motor)
-    squared = quad_external * external * external if abs(motor) > abs(external) else quad_motor * motor * motor
-    squared = squared if motor * external < 0.0 else 0.0
-    return coulomb + loaded + fade * (stribeck + static + squared)
+    shift = LOG2_LOG2_E - stribeck_exponent * fast_log2(stribeck_speed)
+    return faded_loss(
+        motor,
+        external,
+        stribeck_fade(speed, stribeck_exponent, shift),
+        coulomb,
+        stribeck,
+        load_motor,
+        load_external,
+        load_motor_stribeck,
+        load_external_stribeck,
+        quad_motor,
+        quad_external,
+    )
