@@ -9,7 +9,7 @@ from numpy.random import Generator
 
 from frasa_rl.config import Assumed, Task
 from frasa_rl.robot import Floats, Robot
-from frasa_sysid.calibration import Calibration, actuators_of, apply, dofs_of, number, servo_classes
+from frasa_sysid.calibration import Calibration, actuators_of, apply, dofs_of, number, servo_classes, servo_law
 
 # What a draw writes to, and what mj_setConst derives from it.
 _TOUCHED = (
@@ -27,6 +27,7 @@ _TOUCHED = (
     "actuator_forcerange",
     "actuator_delay",
     "sensor_delay",
+    "numeric_data",  # friction laws, present supply
 )
 
 
@@ -46,6 +47,9 @@ class Randomizer:
         self._data = mujoco.MjData(model)
         self._originals = {name: getattr(model, name).copy() for name in _TOUCHED}
         self._servos = {name: actuators_of(model, name) for name in servo_classes(model)}
+        # Beyond frictionloss: the Coulomb part of each law.
+        laws = {name: servo_law.law(model, name) for name in self._servos} if servo_law.has_law(model) else {}
+        self._coulomb = {f"{name}.frictionloss": law.coulomb for name, law in laws.items() if law is not None}
         self._voltage = number(model, "servo_supply_voltage")
 
     def restore(self) -> None:
@@ -63,7 +67,8 @@ class Randomizer:
         for name, value in self._originals.items():
             getattr(self._model, name)[:] = value
         drawn = self._draw_servos(rng)
-        drawn["supply_voltage"] = self._draw_voltage(rng)
+        if "supply_voltage" not in drawn:
+            drawn["supply_voltage"] = self._draw_voltage(rng)
         drawn["floor_friction"] = self._draw_floor(rng)
         drawn["trunk_mass"] = self._draw_trunk(rng)
         self._draw_joint_zeros(rng)
@@ -80,8 +85,9 @@ class Randomizer:
             for servo, actuators in self._servos.items():
                 if f"{servo}.{field}" not in measured:
                     values[dofs_of(self._model, actuators)] *= ratio
-        if measured:
-            apply(self._model, measured)
+        assumed = {name: value * ratios["frictionloss"] for name, value in self._coulomb.items()}
+        if assumed or measured:
+            apply(self._model, {**assumed, **measured})
         return {**ratios, **measured}
 
     def _draw_voltage(self, rng: Generator) -> float:

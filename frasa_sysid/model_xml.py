@@ -1,12 +1,16 @@
 """The calibrated model as XML: the nominal file with its default classes written out and changed."""
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 from lxml import etree
 
+from frasa_sysid.calibration import SERVO_FIELDS
+from frasa_sysid.calibration.apply import LEAST_FRICTION
+from frasa_sysid.calibration.servo_law import SUFFIX
 from frasa_sysid.errors import ModelError
-from frasa_sysid.fit_file import StoredFit, model_parameters
+from frasa_sysid.stored_fit import StoredFit, model_parameters
 
 _ACTUATOR_FIELDS = {"kp", "forcerange", "delay"}
 
@@ -66,7 +70,7 @@ def _remove(parent: etree._Element, child: etree._Element) -> None:
 
 
 def write_class(root: etree._Element, stored: StoredFit, nominal: Path) -> None:
-    """Write the fitted numbers of a servo into its default class, all digits kept.
+    """Write the fitted numbers of a servo into its default class, and its law beside it, all digits kept.
 
     Raises:
         ModelError: the model does not have exactly one default class of that name.
@@ -75,11 +79,16 @@ def write_class(root: etree._Element, stored: StoredFit, nominal: Path) -> None:
     if len(places) != 1:
         raise ModelError(f"{nominal}: expected one default class '{stored.servo}', found {len(places)}")
     joint, actuator = (_child(places[0], tag) for tag in ("joint", "position"))
-    for name, one in model_parameters(stored).items():
-        field = name.rpartition(".")[2]
-        value = repr(float(one["value"]))
-        target = actuator if field in _ACTUATOR_FIELDS else joint
-        target.set(field, f"-{value} {value}" if field == "forcerange" else value)
+    fitted = {name.rpartition(".")[2]: float(one["value"]) for name, one in model_parameters(stored).items()}
+    law = stored.model_law
+    if law is not None:
+        # Other programs see the Coulomb part alone; above zero, for the row that the law fills.
+        fitted["frictionloss"] = max(law.coulomb, LEAST_FRICTION)
+        write_number(root, f"{stored.servo}{SUFFIX}", [law.viscous, *law.coefficients()])
+    for field, value in fitted.items():
+        if field in SERVO_FIELDS:
+            target = actuator if field in _ACTUATOR_FIELDS else joint
+            target.set(field, f"-{value!r} {value!r}" if field == "forcerange" else repr(value))
 
 
 def _child(parent: etree._Element, tag: str) -> etree._Element:
@@ -89,7 +98,10 @@ def _child(parent: etree._Element, tag: str) -> etree._Element:
 
 def write_id(root: etree._Element, key: str) -> None:
     """Write the calibration id as the custom text `calibration_id`."""
-    custom = root.find("custom")
-    if custom is None:
-        custom = etree.SubElement(root, "custom")
-    etree.SubElement(custom, "text", name="calibration_id", data=key)
+    etree.SubElement(_child(root, "custom"), "text", name="calibration_id", data=key)
+
+
+def write_number(root: etree._Element, name: str, values: Iterable[float]) -> None:
+    """Write a custom number, all digits kept."""
+    data = " ".join(repr(float(value)) for value in values)
+    etree.SubElement(_child(root, "custom"), "numeric", name=name, data=data)

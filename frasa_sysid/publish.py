@@ -1,14 +1,12 @@
 """From fits to `calibrated.xml` and `randomization.yaml`: a pure function of nominal model and fit files.
 
-The model's default classes get the fitted numbers; everything else is included as in the
-nominal model. Ranges are the 95 % interval, widened to what leaving out any rig and gain
-changes, and never narrower than a stated floor.
+The model's default classes get the fitted numbers, and its custom numbers the friction laws
+beyond Coulomb-viscous; everything else is included as in the nominal model.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -18,37 +16,28 @@ from lxml import etree
 from frasa_sysid.calibration import (
     Calibration,
     CalibrationError,
-    Range,
-    apply,
     calibration_id,
+    delay_room,
     load_model,
     number,
     read,
+    servo_law,
     sha256_of,
     write_atomic,
 )
+from frasa_sysid.calibration.apply import PRESENT_SUPPLY
+from frasa_sysid.calibration.friction import LAWS
 from frasa_sysid.calibration.load import RANGES_FILE
 from frasa_sysid.errors import InputError, ModelError, QualityError
-from frasa_sysid.fit_file import StoredFit, model_parameters
-from frasa_sysid.model_xml import inlined, parts_of, relocate_includes, write_class, write_id
+from frasa_sysid.model_xml import inlined, parts_of, relocate_includes, write_class, write_id, write_number
+from frasa_sysid.published_as import price
+from frasa_sysid.published_check import check_compiled
+from frasa_sysid.published_ranges import SUPPLY, ranges_of
 from frasa_sysid.recording import FloatArray
+from frasa_sysid.stored_fit import StoredFit, model_parameters
 
-FLOOR_RELATIVE = 0.02  # [1] of the value: another unit or another day differs by more than any interval says
-FLOOR_DELAY = 0.0005  # [s] a bus is not steadier than this
 REPLAY_TOLERANCE = 1e-4  # [rad] between the published model and what the fit saw
-_COMPARED = (
-    "actuator_gainprm",
-    "actuator_biasprm",
-    "actuator_forcerange",
-    "actuator_delay",
-    "dof_damping",
-    "dof_frictionloss",
-    "dof_armature",
-    "dof_invweight0",
-    "body_mass",
-    "body_inertia",
-    "sensor_delay",
-)
+REPLAY_TOLERANCE_LAW = 1e-3  # [rad] the same with a law, whose friction MuJoCo's solver softens
 
 
 @dataclass(frozen=True)
@@ -70,24 +59,28 @@ def publish(fits: Sequence[StoredFit], nominal: Path, out: Path) -> Published:
     """Make the calibrated model and its ranges, as texts.
 
     Args:
-        fits: one or more; two may not claim one parameter.
+        fits: one or more; two may not claim one parameter. For Coulomb-viscous stand-ins: `as_m1` of them.
         nominal: the model they started from.
         out: where the model will stand; includes are written relative to it.
 
     Raises:
         CalibrationError: two fits claim one parameter, or a fit was stated at another supply or gain.
-        ModelError: the nominal model lacks a class, is not XML, is calibrated already, or would be overwritten.
+        ModelError: the nominal model lacks a class, is not XML, is calibrated already, carries a friction law,
+            or would be overwritten.
     """
     _check_place(nominal, out)
+    model = load_model(nominal)
     ordered = sorted(fits, key=lambda one: (one.servo, one.sha256))
     _check_claims(ordered)
     root = inlined(nominal)
-    _check_stated(ordered, nominal)
+    _check_stated(ordered, nominal, model)
     key = _identity(ordered, root)
     relocate_includes(root, nominal.parent, out.parent)
-    calibration = _calibration(ordered, key)
+    calibration = ranges_of(ordered, key, {stored.servo: delay_room(model, stored.servo) for stored in ordered})
     for stored in ordered:
         write_class(root, stored, nominal)
+    if SUPPLY in calibration.ranges:
+        write_number(root, PRESENT_SUPPLY, [calibration.ranges[SUPPLY].value])
     write_id(root, key)
     root.set("model", "sigmaban_calibrated" if root.get("model") == "sigmaban_nominal" else f"{root.get('model')}_cal")
     root.insert(0, etree.Comment(_headline(ordered, key)))
@@ -127,7 +120,7 @@ def write(
     try:
         write_atomic(candidate, published.xml)
         model = load_model(candidate)
-        _check_compiled(model, published, fits, nominal)
+        check_compiled(model, published.calibration.id, fits, nominal)
         if check is not None:
             check(model)
         ranges = out.with_name(RANGES_FILE)
@@ -138,36 +131,40 @@ def write(
     return ranges
 
 
-def _check_compiled(model: mujoco.MjModel, published: Published, fits: Sequence[StoredFit], nominal: Path) -> None:
-    """The XML that was written and the numbers that were fitted must make one and the same model."""
-    expected = load_model(nominal)
-    apply(expected, {name: one["value"] for stored in fits for name, one in model_parameters(stored).items()})
-    for field in _COMPARED:
-        if not np.allclose(getattr(model, field), getattr(expected, field), rtol=1e-12, atol=1e-15):
-            raise QualityError(f"the compiled model and the fits disagree in {field}; nothing was published")
-    if calibration_id(model) != published.calibration.id:
-        raise QualityError("the compiled model does not carry the calibration id; nothing was published")
+def replay_tolerance(friction: str) -> float:
+    """Largest difference [rad] between fit and published model that a friction law is allowed."""
+    return REPLAY_TOLERANCE if friction == LAWS[0] else REPLAY_TOLERANCE_LAW
 
 
-def check_replay(fitted: Sequence[FloatArray], published: Sequence[FloatArray]) -> float:
+def check_replay(
+    fitted: Sequence[FloatArray], published: Sequence[FloatArray], tolerance: float = REPLAY_TOLERANCE
+) -> float:
     """Largest difference between what the fit saw and what the published model does [rad].
 
+    Args:
+        fitted: angles of each run [rad].
+        published: the same runs by the published model [rad].
+        tolerance: largest difference allowed [rad]; see `replay_tolerance`.
+
     Raises:
-        QualityError: it is more than 0.1 mrad.
+        QualityError: it is more than that.
     """
     # np.max, not max: a NaN has to show wherever it stands.
     worst = float(np.max([np.max(np.abs(a - b)) for a, b in zip(fitted, published, strict=True)]))
-    if not worst <= REPLAY_TOLERANCE:
+    if not worst <= tolerance:
         raise QualityError(
             f"the published model replays the logs {worst * 1e3:.3f} mrad away from the fit; allowed is "
-            f"{REPLAY_TOLERANCE * 1e3:.1f} mrad"
+            f"{tolerance * 1e3:.1f} mrad"
         )
     return worst
 
 
 def _check_place(nominal: Path, out: Path) -> None:
-    if calibration_id(load_model(nominal)) is not None:
+    model = load_model(nominal)
+    if calibration_id(model) is not None:
         raise ModelError(f"{nominal} is calibrated already; publish from the nominal model")
+    if servo_law.has_law(model):
+        raise ModelError(f"{nominal} carries a friction law already; publish from a model without")
     sources = parts_of(nominal)
     if out.resolve() in {source.resolve() for source in sources}:
         raise ModelError(f"{out} is part of the nominal model, which publishing never changes; choose another --out")
@@ -184,8 +181,7 @@ def _check_claims(fits: Sequence[StoredFit]) -> None:
         raise CalibrationError("the fits hold no parameter of a model")
 
 
-def _check_stated(fits: Sequence[StoredFit], nominal: Path) -> None:
-    model = load_model(nominal)
+def _check_stated(fits: Sequence[StoredFit], nominal: Path, model: mujoco.MjModel) -> None:
     for stored in fits:
         read(model, f"{stored.servo}.kp")  # the class exists
         for key, value in stored.stated.items():
@@ -197,7 +193,9 @@ def _check_stated(fits: Sequence[StoredFit], nominal: Path) -> None:
 
 
 def _identity(fits: Sequence[StoredFit], root: etree._Element) -> str:
-    content = etree.tostring(root) + "".join(stored.sha256 for stored in fits).encode()
+    # A stand-in is another robot than the fit it comes from.
+    fitted = "".join(stored.sha256 + ("as m1" if stored.stands_for else "") for stored in fits)
+    content = etree.tostring(root) + fitted.encode()
     return sha256_of(content)[:16]
 
 
@@ -208,41 +206,16 @@ def _headline(fits: Sequence[StoredFit], key: str) -> str:
     ]
     for stored in fits:
         lines.append(f"  {stored.servo} from {len(stored.inputs)} file(s) of {stored.origin} logs:")
+        if stored.model_law is not None:
+            lines.append(f"    friction law {stored.friction}; without frasa's load_model only its Coulomb part acts")
+        if stored.stands_for:
+            lines.append(f"    {price(stored)}")
         for name, one in model_parameters(stored).items():
             interval = f"({one['low']:.4g} .. {one['high']:.4g}) {one['unit']}"
             lines.append(f"    {name} = {one['value']:.6g} {interval}: {one['verdict']}")
+        lines.extend(f"    not in this model: {one}" for one in stored.not_in_model)
     # XML allows no double hyphen in a comment.
     return "\n  ".join(lines).replace("--", "- -") + "\n  "
-
-
-def _calibration(fits: Sequence[StoredFit], key: str) -> Calibration:
-    ranges: dict[str, Range] = {}
-    blocks: list[tuple[tuple[str, ...], FloatArray]] = []
-    for stored in fits:
-        known = {name: one for name, one in model_parameters(stored).items() if "not excited" not in one["verdict"]}
-        ranges.update({name: _range(stored, name, one) for name, one in known.items()})
-        index = [i for i, name in enumerate(stored.correlated) if name in known]
-        blocks.append((tuple(stored.correlated[i] for i in index), stored.correlation[np.ix_(index, index)]))
-    names = tuple(name for block, _ in blocks for name in block)
-    matrix = np.eye(len(names))
-    start = 0
-    for block, values in blocks:
-        matrix[start : start + len(block), start : start + len(block)] = values
-        start += len(block)
-    return Calibration(key, ranges, names, matrix)
-
-
-def _range(stored: StoredFit, name: str, one: dict[str, Any]) -> Range:
-    value = float(one["value"])
-    floor = FLOOR_DELAY if name.endswith(".delay") else FLOOR_RELATIVE * abs(value)
-    low = min(one["low"], one["spread_low"], value - floor)
-    high = max(one["high"], one["spread_high"], value + floor)
-    floor_text = f"{FLOOR_DELAY * 1e3:g} ms" if name.endswith(".delay") else f"{FLOOR_RELATIVE:.0%}"
-    origin = (
-        f"fit {stored.sha256[:12]} of {stored.origin} logs, {one['verdict']}: 95 % interval by log, joined with the "
-        f"spread when any rig and gain is left out, at least +-{floor_text}"
-    )
-    return Range(max(0.0, low), value, high, one["unit"], origin)
 
 
 def find_fits(folder: Path) -> list[Path]:

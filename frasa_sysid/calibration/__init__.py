@@ -5,7 +5,16 @@
 Imports numpy, mujoco and yaml only, so that a policy can be trained without the fitter.
 """
 
-from frasa_sysid.calibration.apply import actuators_of, apply, delayed_sensors, dofs_of, number, read, servo_classes
+from frasa_sysid.calibration.apply import (
+    actuators_of,
+    apply,
+    delay_room,
+    delayed_sensors,
+    dofs_of,
+    number,
+    read,
+    servo_classes,
+)
 from frasa_sysid.calibration.command_line import add_json_flag, plain, run_command, say
 from frasa_sysid.calibration.errors import (
     CalibrationError,
@@ -18,10 +27,11 @@ from frasa_sysid.calibration.errors import (
 )
 from frasa_sysid.calibration.files import sha256_of, sha256_of_file, write_atomic
 from frasa_sysid.calibration.load import calibration_id, load_calibration, load_model, read_calibration
-from frasa_sysid.calibration.parameters import SENSOR_FIELDS, SERVO_FIELDS, Parameter, parameter
+from frasa_sysid.calibration.parameters import LAW_FIELDS, SENSOR_FIELDS, SERVO_FIELDS, Parameter, parameter
 from frasa_sysid.calibration.ranges import Calibration, Range
 
 __all__ = [
+    "LAW_FIELDS",
     "SENSOR_FIELDS",
     "SERVO_FIELDS",
     "Calibration",
@@ -38,6 +48,7 @@ __all__ = [
     "add_json_flag",
     "apply",
     "calibration_id",
+    "delay_room",
     "delayed_sensors",
     "dofs_of",
     "load_calibration",

@@ -1,17 +1,13 @@
 """The table of everything that can be calibrated in a MuJoCo model.
 
 A parameter is data: a name, a unit, physical bounds and the field it sets. Names
-are `<servo class>.<field>` for actuators (`mx106.damping`) and `sensor.<field>` for
-delays of what the robot measures (`sensor.gyro_delay`).
+are `<servo class>.<field>` for actuators (`mx106.damping`), `sensor.<field>` for
+delays of what the robot measures (`sensor.gyro_delay`), and `supply_voltage`.
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 from frasa_sysid.calibration.errors import CalibrationError
-
-ServoField = Literal["kp", "forcerange", "damping", "frictionloss", "armature", "delay"]
-SensorField = Literal["position_delay", "velocity_delay", "gyro_delay", "orientation_delay"]
 
 
 @dataclass(frozen=True)
@@ -19,9 +15,9 @@ class Parameter:
     """One number of the model.
 
     Attributes:
-        name: `mx106.damping`, `sensor.gyro_delay`.
-        owner: servo class, or `sensor`.
-        field: what is set; see `SERVO_FIELDS` and `SENSOR_FIELDS`.
+        name: `mx106.damping`, `sensor.gyro_delay`, `supply_voltage`.
+        owner: servo class, `sensor` or `robot`.
+        field: what is set; see `SERVO_FIELDS`, `LAW_FIELDS`, `SENSOR_FIELDS` and `ROBOT_FIELDS`.
         unit: SI unit as text.
         meaning: one sentence.
     """
@@ -41,11 +37,32 @@ SERVO_FIELDS: dict[str, tuple[str, str]] = {
     "armature": ("kg m^2", "rotor inertia seen at the output"),
     "delay": ("s", "time from sending a goal to the servo acting on it"),
 }
+# Of a servo whose friction is a law beyond Coulomb-viscous; its `frictionloss` is the law's Coulomb friction.
+LAW_FIELDS: dict[str, tuple[str, str]] = {
+    "damping_off": ("N m s/rad", "viscous friction K_v: what is left of the damping with the motor off"),
+    "stribeck": ("N m", "extra friction K_cs at standstill"),
+    "load_motor": ("1", "friction K_m as a share of the motor's torque"),
+    "load_external": ("1", "friction K_e as a share of the load's torque"),
+    "load_motor_stribeck": ("1", "extra share K_ms of the motor's torque at standstill"),
+    "load_external_stribeck": ("1", "extra share K_es of the load's torque at standstill"),
+    "quad_motor": ("1/(N m)", "friction Q_m by the square of the motor's torque, where the load drives it"),
+    "quad_external": ("1/(N m)", "friction Q_e by the square of the load's torque, where the motor drives it"),
+    "stribeck_speed": ("rad/s", "speed dq_s at which the extra of a standstill has faded"),
+    "stribeck_exponent": ("1", "how sharply it fades, alpha"),
+}
+# Which coefficient of `friction.Friction` a field sets.
+LAW_COEFFICIENTS: dict[str, str] = {
+    "frictionloss": "coulomb",
+    **{field: "viscous" if field == "damping_off" else field for field in LAW_FIELDS},
+}
 SENSOR_FIELDS: dict[str, tuple[str, str]] = {
     "position_delay": ("s", "age of a joint position when it is read"),
     "velocity_delay": ("s", "age of a joint velocity when it is read"),
     "gyro_delay": ("s", "age of the angular rate when it is read"),
     "orientation_delay": ("s", "age of the trunk orientation when it is read"),
+}
+ROBOT_FIELDS: dict[str, tuple[str, str]] = {
+    "supply_voltage": ("V", "present supply of all servos; their gains and torque limits are proportional to it"),
 }
 
 
@@ -55,12 +72,12 @@ def parameter(name: str) -> Parameter:
     Raises:
         CalibrationError: no such parameter; the message lists the fields there are.
     """
-    owner, _, field = name.partition(".")
-    fields = SENSOR_FIELDS if owner == "sensor" else SERVO_FIELDS
-    if not owner or field not in fields:
+    owner, _, field = ("robot", "", name) if name in ROBOT_FIELDS else name.partition(".")
+    fields = {"sensor": SENSOR_FIELDS, "robot": ROBOT_FIELDS}.get(owner, SERVO_FIELDS | LAW_FIELDS)
+    if not owner or field not in fields or (owner == "robot" and name != field):
         raise CalibrationError(
-            f"unknown parameter '{name}': expected <servo>.<{'|'.join(SERVO_FIELDS)}> "
-            f"or sensor.<{'|'.join(SENSOR_FIELDS)}>"
+            f"unknown parameter '{name}': expected <servo>.<{'|'.join([*SERVO_FIELDS, *LAW_FIELDS])}>, "
+            f"sensor.<{'|'.join(SENSOR_FIELDS)}> or {'|'.join(ROBOT_FIELDS)}"
         )
     unit, meaning = fields[field]
     return Parameter(name, owner, field, unit, meaning)

@@ -15,6 +15,8 @@ def calibration(**changes):
         "mx64.damping": Range(0.5, 0.5, 0.7, "N m s/rad", "here"),
         "mx64.delay": Range(0.0, 0.004, 0.005, "s", "here"),
         "mx64.armature": Range(0.01, 0.01, 0.01, "kg m^2", "here"),
+        "mx64.load_motor_stribeck": Range(0.0, 0.1, 0.2, "1", "here"),
+        "supply_voltage": Range(11.0, 12.0, 12.6, "V", "here"),
     }
     return Calibration(**{"id": "0123", "ranges": ranges, "correlated": NAMES, "correlation": MATRIX} | changes)
 
@@ -78,6 +80,8 @@ def test_round_trip_through_yaml(tmp_path):
         (("parameters", "mx64.kp", "high"), float("inf")),
         (("parameters", "mx64.kp", "high"), 10**400),
         (("parameters", "mx64.kp", "unit"), "N m/deg"),
+        (("parameters", "mx64.load_motor_stribeck", "unit"), "N m"),
+        (("parameters", "supply_voltage", "unit"), "mV"),
         (("parameters", "mx64.kp", "unit"), None),
         (("parameters", "mx64.kp", "origin"), None),
         (("parameters", "mx64.colour"), {"low": 0, "value": 0, "high": 0, "unit": "1", "origin": ""}),

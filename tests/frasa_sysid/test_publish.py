@@ -6,10 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from frasa_sysid import fit_file
+from frasa_sysid import stored_fit
 from frasa_sysid.calibration import CalibrationError, calibration_id, load_calibration, load_model, parameter, read
 from frasa_sysid.errors import InputError, ModelError, QualityError
-from frasa_sysid.publish import check_replay, find_fits, publish, write
+from frasa_sysid.publish import check_replay, find_fits, publish, replay_tolerance, write
 
 FITTED = {
     "mx106": {"kp": 24.9, "forcerange": 7.77, "damping": 1.1, "frictionloss": 1e-5, "armature": 0.03, "delay": 0.0071},
@@ -36,7 +36,7 @@ def fit_of(servo, folder, **changes):
     names = list(parameters)
     matrix = 0.5 * np.ones((len(names),) * 2) + 0.5 * np.eye(len(names))
     data = {
-        "schema": fit_file.SCHEMA,
+        "schema": stored_fit.SCHEMA_M1,
         "servo": servo,
         "origin": "simulated",
         "stated_at": {"supply_voltage": 15.0, "firmware_gain": 12.0},
@@ -46,7 +46,7 @@ def fit_of(servo, folder, **changes):
     }
     path = folder / f"{servo}.json"
     path.write_text(json.dumps(data))
-    return fit_file.load(path)
+    return stored_fit.load(path)
 
 
 @pytest.fixture
@@ -76,7 +76,7 @@ def test_compiled_numbers_are_the_fitted_ones(model_dir, fits):
     write(publish(fits, model_dir / "nominal.xml", out), fits, model_dir / "nominal.xml", out)
     model, nominal = load_model(out), load_model(model_dir / "nominal.xml")
     for stored in fits:
-        for name, one in fit_file.model_parameters(stored).items():
+        for name, one in stored_fit.model_parameters(stored).items():
             assert read(model, name) == one["value"]
     assert calibration_id(model) is not None
     for field in ("nq", "nu", "nsensor", "ngeom", "nkey"):
@@ -231,6 +231,11 @@ def test_replay_check():
             other[i][-1] = bad
             with pytest.raises(QualityError, match="away from the fit"):
                 check_replay(fitted, other)
+    assert replay_tolerance("m1") == 1e-4
+    looser = replay_tolerance("m4")
+    assert check_replay(fitted, [np.full(3, 9e-4), np.zeros(2)], looser) == pytest.approx(9e-4)
+    with pytest.raises(QualityError, match=r"allowed is 1\.0 mrad"):
+        check_replay(fitted, [np.full(3, 1.1e-3), np.zeros(2)], looser)
 
 
 def test_fits_of_a_folder(tmp_path):
