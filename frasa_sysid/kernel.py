@@ -40,10 +40,10 @@ STRIBECK, LOAD_M, LOAD_E, STATIC_M, STATIC_E, QUAD_M, QUAD_E, EXPONENT, FADE_SHI
     LANES * row for row in range(16, 25)
 )
 # ... and of effects.
-SAG, BACK_EMF, FOLLOW, PUNCH, STEEP, DEAD, COLLAPSE_AT, COLLAPSE_TO, BIAS, GOAL_STEP = (
-    LANES * row for row in range(25, 35)
+SAG, BACK_EMF, FOLLOW, PUNCH, STEEP, DEAD, COLLAPSE_AT, COLLAPSE_TO, BIAS, LAG, GOAL_STEP = (
+    LANES * row for row in range(25, 36)
 )
-ROWS = 35
+ROWS = 36
 _CHUNK = 128  # steps whose inputs are laid out side by side before they are simulated: they fit the first cache
 _BEYOND = 1e3  # [rad] a simulation that got here has diverged
 _NO_LIMIT = 1e3  # [rad] goal steps from here on are not limited
@@ -75,7 +75,8 @@ def _stepper(law: bool, effects: bool) -> Any:  # noqa: ANN401 (numba's function
                 external = w[GRAVITY + i] * fast_sin(q)
                 if effects:
                     external = external + w[BIAS + i]
-                    # The firmware: dead zone, punch, duty limit, gain collapse; then the supply under load.
+                    # The firmware: age of its own reading, dead zone, punch, duty limit, gain collapse; then the supply under load.
+                    error = fma(w[LAG + i], v, error)
                     error = error - min(max(error, -w[DEAD + i]), w[DEAD + i])
                     pushed = fma(w[PUNCH + i], min(max(error * w[STEEP + i], -1.0), 1.0), error)
                     asked = min(max(w[GAIN + i] * pushed, -w[LIMIT + i]), w[LIMIT + i])
@@ -100,7 +101,7 @@ def _stepper(law: bool, effects: bool) -> Any:  # noqa: ANN401 (numba's function
                         w[QUAD_M + i],
                         w[QUAD_E + i],
                     )
-                smooth = fma(-w[DAMPING + i], v, act + external)
+                smooth = fma(-w[DAMPING + i], v, act) + external
                 f = min(max(-fma(w[HOLD + i], v, smooth), -bound), bound)
                 v = fma(w[ADVANCE + i], smooth + f, v)
                 q = fma(h, v, q)
