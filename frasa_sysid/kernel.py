@@ -75,7 +75,7 @@ def _stepper(law: bool, effects: bool) -> Any:  # noqa: ANN401 (numba's function
                 external = w[GRAVITY + i] * fast_sin(q)
                 if effects:
                     external = external + w[BIAS + i]
-                    # The firmware: age of its own reading, dead zone, punch, duty limit, gain collapse; then the supply under load.
+                    # The firmware: age of its reading, dead zone, punch, duty limit, gain collapse; then the supply.
                     error = fma(w[LAG + i], v, error)
                     error = error - min(max(error, -w[DEAD + i]), w[DEAD + i])
                     pushed = fma(w[PUNCH + i], min(max(error * w[STEEP + i], -1.0), 1.0), error)
@@ -144,14 +144,23 @@ def _side_by_side(
     u: FloatArray, values: FloatArray, begin: IntArray, first: int, count: int, low: IntArray, high: IntArray
 ) -> None:
     """Rows of 16 values: lane i's from begin[i] + first on, kept within low[i] to high[i]."""
-    for i in range(LANES):
-        a = begin[i] + first
-        if a >= low[i] and a + count - 1 <= high[i]:
+    for i in range(0, LANES, 4):  # four lanes in one pass: a row's cache line is then written to less often
+        inside = True
+        for lane in range(i, i + 4):
+            at = begin[lane] + first
+            inside = inside and low[lane] <= at and at + count <= high[lane] + 1
+        if inside:
+            a = values[begin[i] + first :]
+            b = values[begin[i + 1] + first :]
+            c = values[begin[i + 2] + first :]
+            d = values[begin[i + 3] + first :]
             for k in range(count):
-                u[k * LANES + i] = values[a + k]
+                o = k * LANES + i
+                u[o], u[o + 1], u[o + 2], u[o + 3] = a[k], b[k], c[k], d[k]
         else:
-            for k in range(count):
-                u[k * LANES + i] = values[min(max(a + k, low[i]), high[i])]
+            for lane in range(i, i + 4):
+                for k in range(count):
+                    u[k * LANES + lane] = values[min(max(begin[lane] + first + k, low[lane]), high[lane])]
 
 
 @njit(nogil=True, error_model="numpy", cache=True)
