@@ -6,33 +6,24 @@ purpose; the numbers in them are the ones a person would look at.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
+from frasa_sysid.finding import Finding, Verdict
+from frasa_sysid.identifiability_effects import (
+    LOAD,
+    direction,
+    goal_profile,
+    is_bare,
+    sag,
+    small_errors,
+    stribeck,
+    zero_offset,
+)
 from frasa_sysid.inspection import Motion
 from frasa_sysid.readers.sampling import plural
 
-Verdict = Literal["yes", "weak", "no"]
 FINE = 0.0005  # rad; noise of a position that shows no steps
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Whether one thing can be identified.
-
-    Attributes:
-        parameter: what it is about.
-        verdict: yes, weak (an interval so wide that it says little, or a caveat) or no.
-        reason: what in the logs makes it so.
-        record: the log that would help; empty when none is needed.
-    """
-
-    parameter: str
-    verdict: Verdict
-    reason: str
-    record: str = ""
 
 
 def findings(motions: Sequence[Motion]) -> list[Finding]:
@@ -54,6 +45,8 @@ def _gain(motions: Sequence[Motion]) -> Finding:
         return Finding(name, "no", "no goal and no voltage command was recorded", "log what was commanded")
     loaded = [one for one in driven if one.gravity and one.lift > 0.3]
     inertial = [one for one in driven if one.inertia_known]
+    if is_bare(driven):
+        return Finding(name, "weak", "a bare horn: torques come out only in proportion to the armature", LOAD)
     if not (loaded or inertial):
         record = "hang a known load on the arm and declare its mass and length"
         return Finding(name, "weak", "no known load: torques come out only in proportion to the armature", record)
@@ -124,6 +117,8 @@ def _armature(motions: Sequence[Motion]) -> Finding:
     name = "armature"
     top = max(one.top_acceleration for one in motions)
     reason = f"accelerations up to {top:.0f} rad/s^2"
+    if is_bare(motions):
+        return Finding(name, "weak", f"{reason}, but of a bare horn: only its ratio to the gain shows", LOAD)
     if not any(one.inertia_known for one in motions):
         return Finding(
             name, "weak", f"{reason}, but the load's inertia is not known", "declare the load's mass and length"
@@ -170,7 +165,10 @@ def _load_friction(motions: Sequence[Motion]) -> Finding:
     # Friction that grows with the load is a constant as long as the load is one.
     name = "load-dependent friction"
     record = "the same motions with a second load, at least a third heavier or lighter"
-    loads = sorted({round(one.gravity, 3) for one in motions if one.gravity})
+    if is_bare(motions):
+        return Finding(name, "no", "a bare horn carries no load", LOAD)
+    # A bare horn beside a load is a second load, of zero.
+    loads = sorted({round(one.gravity, 3) for one in motions if one.gravity is not None})
     if not loads:
         return Finding(name, "no", "no known load", record)
     if len(loads) == 1:
@@ -190,4 +188,10 @@ RULES: tuple[Callable[[Sequence[Motion]], Finding], ...] = (
     _delay,
     _supply,
     _load_friction,
+    direction,
+    stribeck,
+    zero_offset,
+    sag,
+    goal_profile,
+    small_errors,
 )

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from frasa_sysid.errors import LogError
+from frasa_sysid.motion_detail import Detail, detail_of
 from frasa_sysid.recording import FloatArray, Recording, Signal
 from frasa_sysid.servo import NOMINAL
 
@@ -71,7 +72,7 @@ def quantum(y: FloatArray) -> float | None:
     steps = steps[steps > GRID]
     if steps.size < 5:
         return None
-    small = np.percentile(steps, 5)
+    small = np.percentile(steps, 5, method="lower")  # one of them, so that some lie near it
     step = float(np.median(steps[(steps > small / 1.5) & (steps < small * 1.5)]))
     multiples = steps / step
     on_grid = np.abs(multiples - np.round(multiples)) < 0.1
@@ -103,6 +104,7 @@ class Motion:
         inertia_known: the load's inertia is known.
         supply: measured supply (low, median, high) [V]; None when not measured.
         clock: whose stamps these are.
+        detail: what laws and effects beyond Coulomb-viscous friction show in.
     """
 
     control: str
@@ -124,6 +126,7 @@ class Motion:
     inertia_known: bool
     supply: tuple[float, float, float] | None
     clock: str
+    detail: Detail
 
 
 def is_bench(recording: Recording) -> bool:
@@ -142,13 +145,14 @@ def motion(recording: Recording) -> Motion:
     top = float(np.percentile(np.abs(speed), 99.5))
     slow = (np.abs(speed) > MOVING) & (np.abs(speed) < max(top / 5, 2 * MOVING))
     powered = _powered(recording, t)
-    error = _error(recording, t, q)[powered]
+    every_error, step = _error(recording, t, q), quantum(q) or 0.0
+    error = every_error[powered]
     supply = recording.signals.get("supply_voltage")
     return Motion(
         control=recording.rig.control,
         duration=float(t[-1] - t[0]),
         period=float(np.median(np.diff(t))),
-        quantum=quantum(q) or 0.0,
+        quantum=step,
         travel=float(np.ptp(q)),
         reversals=_reversals(speed),
         slow_share=float(slow.mean()),
@@ -164,6 +168,7 @@ def motion(recording: Recording) -> Motion:
         inertia_known=recording.rig.inertia is not None or gravity_torque(recording) not in (None, 0.0),
         supply=None if supply is None else (float(supply.y.min()), float(np.median(supply.y)), float(supply.y.max())),
         clock=recording.clock,
+        detail=detail_of(t, q, powered, every_error, step, recording.signals.get("goal"), supply),
     )
 
 

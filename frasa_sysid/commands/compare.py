@@ -1,28 +1,40 @@
 """`frasa-sysid compare`: simulated against measured, for models and fits side by side."""
 
 import argparse
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.table import Table
 
 from frasa_sysid import fit_file
-from frasa_sysid.calibration import SERVO_FIELDS, add_json_flag, calibration_id, load_model, read
+from frasa_sysid.calibration import SERVO_FIELDS, add_json_flag, calibration_id, load_model, number, read
+from frasa_sysid.calibration.friction import FIELDS as FRICTION_FIELDS
+from frasa_sysid.calibration.friction import Friction
+from frasa_sysid.calibration.servo_law import law
 from frasa_sysid.commands.bench import Bench, add_bench_arguments, bench_model, load_bench, people_console
 from frasa_sysid.cost import Misfit, misfit
-from frasa_sysid.errors import UsageError
+from frasa_sysid.errors import ModelError, UsageError
+from frasa_sysid.recording import FloatArray
 from frasa_sysid.report import Trace, write_trace_report
-from frasa_sysid.rollout import ServoValues
+from frasa_sysid.rig import BenchRun
+from frasa_sysid.servo_values import FIELDS, ServoValues
 
 SCHEMA = "frasa.compare/1"
 
 
+_RIG_OFFSET = "offset["  # `bench.offset[1.2kg 0.15m]`: zero of one rig beside the one that all share
+
+
 @dataclass(frozen=True)
 class _Candidate:
+    """Numbers to simulate with, and the zero of single rigs [rad]."""
+
     name: str
     values: ServoValues
+    zeros: Mapping[str, float] = field(default_factory=dict)
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -54,9 +66,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         args.model = args.model.with_name("nominal.xml")
     bench = load_bench(args)
     candidates = _candidates(args, bench)
-    with bench.simulator(bench_model(args), args.threads) as simulator:
-        runs, _ = bench.runs(simulator)
-        readings = simulator.simulate(runs, [one.values for one in candidates])
+    with bench.session(bench_model(args), args.threads) as session:
+        runs, _ = bench.runs(session)
+        kernel = session.kernel(runs)
+        rows = kernel.readings(np.array([one.values.array() for one in candidates]), _offsets(candidates, runs))
+        readings = [kernel.split(row) for row in rows]
     errors = {one.name: misfit(runs, found) for one, found in zip(candidates, readings, strict=True)}
     _show(errors)
     report = None
@@ -78,15 +92,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _candidates(args: argparse.Namespace, bench: Bench) -> list[_Candidate]:
-    nominal = dict(bench.nominal)
-    found = [_Candidate("nominal", ServoValues(**nominal))]
+    found = [_Candidate("nominal", ServoValues(**bench.nominal))]
     for path in args.with_model:
-        model = load_model(path)
-        fields = {field: read(model, f"{bench.servo.name}.{field}") for field in SERVO_FIELDS}
-        values = ServoValues(**{**nominal, **_bench_facts(path, bench), **fields})
-        found.append(_Candidate(_name(path, found), values))
+        found.append(_of_model(_name(path, found), path, bench))
     for path in args.fit:
-        found.append(_Candidate(_name(path, found), ServoValues(**{**nominal, **_fields(path, bench)})))
+        found.append(_of_fit(_name(path, found), path, bench))
     return found
 
 
@@ -95,19 +105,65 @@ def _name(path: Path, taken: Sequence[_Candidate]) -> str:
     return str(path) if path.name in {one.name for one in taken} else path.name
 
 
-def _bench_facts(model_path: Path, bench: Bench) -> dict[str, float]:
-    """Offset and unpowered damping have no place in a robot's model; they stand in the fit beside it."""
-    path = model_path.parent / "fits" / f"{bench.servo.name}.json"
-    if not path.is_file():
-        return {}
-    return {name: value for name, value in _fields(path, bench).items() if name in ("offset", "damping_off")}
+def _of_model(name: str, path: Path, bench: Bench) -> _Candidate:
+    """What a model of the robot does on the bench, with its friction law where it carries one.
+
+    Zero offsets and unpowered damping have no place in such a model; they stand in the fit beside it. Effects stay
+    off, as in the check of what was published.
+    """
+    model = load_model(path)
+    fields = {**bench.nominal, **{one: read(model, f"{bench.servo.name}.{one}") for one in SERVO_FIELDS}}
+    zeros: Mapping[str, float] = {}
+    beside = path.parent / "fits" / f"{bench.servo.name}.json"
+    if beside.is_file():
+        fitted = _of_fit(name, beside, bench)
+        fields |= {"offset": fitted.values.offset, "damping_off": fitted.values.damping_off}
+        zeros = fitted.zeros
+    friction = law(model, bench.servo.name)
+    if friction is not None:
+        fields |= _law_fields(friction)
+    stated = number(model, "servo_supply_voltage"), number(model, "servo_firmware_gain")
+    return _Candidate(name, _restated(ServoValues(**fields), *stated, bench, path), zeros)
 
 
-def _fields(path: Path, bench: Bench) -> dict[str, float]:
+def _of_fit(name: str, path: Path, bench: Bench) -> _Candidate:
+    """The numbers of a fit file, those of its law and effects included."""
     stored = fit_file.load(path)
     if stored.servo != bench.servo.name:
         raise UsageError(f"{path} is a fit of {stored.servo}, the logs are of {bench.servo.name}")
-    return {name.rpartition(".")[2]: one["value"] for name, one in stored.parameters.items()}
+    # A rig's own text may hold dots: only the first one parts owner and field.
+    numbers = {one.partition(".")[2]: float(content["value"]) for one, content in stored.parameters.items()}
+    fields = {**bench.nominal, **{one: value for one, value in numbers.items() if one in FIELDS}}
+    # Beside a sag, kp and torque limit are those of the unloaded supply.
+    fields["rest"] = float("sag" in numbers)
+    if stored.law is not None:
+        # The law holds all coefficients, those too that only follow another one (M3, M4).
+        fields |= _law_fields(stored.law)
+    zeros = {
+        one.removeprefix(_RIG_OFFSET).removesuffix("]"): value
+        for one, value in numbers.items()
+        if one.startswith(_RIG_OFFSET)
+    }
+    stated = stored.stated["supply_voltage"], stored.stated["firmware_gain"]
+    return _Candidate(name, _restated(ServoValues(**fields), *stated, bench, path), zeros)
+
+
+def _law_fields(friction: Friction) -> dict[str, float]:
+    shared = {name: float(getattr(friction, name)) for name in FRICTION_FIELDS if name != "coulomb"}
+    return {**shared, "damping_off": friction.viscous, "frictionloss": friction.coulomb}
+
+
+def _restated(values: ServoValues, supply: float, gain: float, bench: Bench, path: Path) -> ServoValues:
+    """Gain and torque limit, stated at some supply and firmware gain, at those of the bench."""
+    if not (supply > 0.0 and gain > 0.0):
+        raise ModelError(f"{path}: states its gain at {supply:g} V and firmware gain {gain:g}; both must be above 0")
+    volts, gains = bench.servo.supply_voltage / supply, bench.servo.firmware_gain / gain
+    return replace(values, kp=values.kp * volts * gains, forcerange=values.forcerange * volts)
+
+
+def _offsets(candidates: Sequence[_Candidate], runs: Sequence[BenchRun]) -> FloatArray:
+    """Zero of every run's rig beside the candidate's own [rad], (candidates, runs); 0 for a rig it does not know."""
+    return np.array([[one.zeros.get(run.rig, 0.0) for run in runs] for one in candidates])
 
 
 def _plain(one: Misfit) -> dict[str, Any]:

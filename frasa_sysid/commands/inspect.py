@@ -13,7 +13,8 @@ from rich.table import Table
 
 from frasa_sysid.calibration.command_line import add_json_flag
 from frasa_sysid.commands.faults import show_faults
-from frasa_sysid.identifiability import Finding, findings, next_logs
+from frasa_sysid.finding import Finding
+from frasa_sysid.identifiability import findings, next_logs
 from frasa_sysid.inspection import SignalSummary, is_bench, motions, summarise
 from frasa_sysid.readers import read_log
 from frasa_sysid.recording import Recording, Signal
@@ -162,4 +163,4 @@ def _show_findings(console: Console, recordings: Sequence[Recording], found: Map
             table.add_row(one.parameter, f"[{COLOURS[one.verdict]}]{one.verdict}[/]", escape(one.reason))
         console.print(table)
         for i, log in enumerate(next_logs(several)):
-            console.print(f"{'Record next:' if i == 0 else '        then:'} {log}", markup=False)
+            console.print(f"{'Record next:' if i == 0 else '        then:'} {log}", markup=False, soft_wrap=True)

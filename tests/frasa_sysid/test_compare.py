@@ -1,0 +1,117 @@
+import argparse
+import json
+import shutil
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+
+from frasa_sysid import fit_file
+from frasa_sysid.bench_session import BenchSession
+from frasa_sysid.calibration import run_command
+from frasa_sysid.commands import compare
+from frasa_sysid.cost import misfit
+from frasa_sysid.fit import fit
+from frasa_sysid.fit_record import Extras, to_json
+from frasa_sysid.problem import state_problem, stated_servo
+from frasa_sysid.readers import read_log
+from frasa_sysid.rig import runs_of
+from frasa_sysid.servo_values import ServoValues
+from frasa_sysid.writer import write_mcap
+
+
+@pytest.fixture(scope="session")
+def place(robot_model_dir, tmp_path_factory):
+    """Nominal models, a log of six runs of three rigs, and a small fit of them: M4 with sag and a zero for each rig."""
+    folder = tmp_path_factory.mktemp("compare")
+    for path in robot_model_dir.glob("*.xml"):
+        if path.name != "calibrated.xml":
+            shutil.copy(path, folder)
+    write_mcap(folder / "log.mcap", read_log(robot_model_dir.parent / "bench_logs" / "mx106.mcap")[1::6])
+    servo, nominal = stated_servo("mx106", folder / "nominal.xml")
+    with BenchSession(folder / "bench_pendulum.xml", servo, threads=2) as session:
+        runs = runs_of(read_log(folder / "log.mcap"), servo, session.options.timestep)
+        problem = state_problem(
+            servo, nominal, runs, (), session.delay_range, law="m4", effects=("sag", "offsets", "punch")
+        )
+        result = fit(problem, session, {}, evaluations=20, restarts=1, known=(np.full(len(problem.free), 0.2),))
+        assert len({run.rig for run in runs}) == 3
+        (folder / "fits").mkdir()
+        fit_file.save(folder / "fits" / "mx106.json", to_json(result, Extras("simulated")))
+        yield folder, result, session, runs
+
+
+def compared(capsys, *words):
+    """What `compare` prints for machines."""
+    parser = argparse.ArgumentParser(prog="frasa-sysid")
+    compare.add_parser(parser.add_subparsers(required=True))
+    status = run_command(parser, ["compare", *(str(word) for word in words), "--json"])
+    out, err = capsys.readouterr()
+    assert status == 0, err
+    return json.loads(out)
+
+
+def test_a_fit_file_is_simulated_as_it_was_fitted(place, capsys):
+    """Law, coefficients that follow another one, effects and the zero of each rig all reach the simulation."""
+    folder, result, _, _ = place
+    values = result.problem.servo_values(result.values)
+    assert values.load_external == values.load_motor > 0.0
+    assert values.load_external_stribeck == values.load_motor_stribeck > 0.0
+    assert any(one.rig and value != 0.0 for one, value in zip(result.problem.free, result.values, strict=True))
+    path = folder / "fits" / "mx106.json"
+    found = compared(capsys, folder / "log.mcap", "--model", folder / "nominal.xml", "--fit", path)
+    assert found["candidates"]["mx106.json"]["by_log"] == pytest.approx(result.fitted.by_run, abs=1e-12)
+    assert found["candidates"]["nominal"]["by_log"] == pytest.approx(result.nominal.by_run, abs=1e-12)
+    assert found["misfit"] == found["candidates"]["mx106.json"]
+
+
+def test_a_fit_stated_elsewhere_is_the_same_servo(place, capsys, tmp_path):
+    """Gain and torque limit that were stated at another supply and firmware gain are brought to the bench's."""
+    folder, result, _, _ = place
+    data = json.loads((folder / "fits" / "mx106.json").read_text())
+    data["stated_at"]["supply_voltage"] *= 0.5
+    data["stated_at"]["firmware_gain"] *= 2.0
+    for key in fit_file.load(folder / "fits" / "mx106.json").parameters["mx106.kp"].keys() - {"unit", "verdict"}:
+        data["parameters"]["mx106.forcerange"][key] *= 0.5
+    (tmp_path / "other.json").write_text(json.dumps(data))
+    words = ("--model", folder / "nominal.xml", "--fit", tmp_path / "other.json")
+    found = compared(capsys, folder / "log.mcap", *words)
+    assert found["misfit"]["by_log"] == pytest.approx(result.fitted.by_run, rel=1e-9)
+
+
+def test_a_model_with_a_friction_law(place, capsys):
+    """The law in a model's custom numbers is simulated; zeros come from the fit beside it, effects do not."""
+    folder, result, session, runs = place
+    values = result.problem.servo_values(result.values)
+    law = values.friction()
+    numbers = " ".join(f"{value!r}" for value in asdict(law).values())
+    text = (folder / "nominal.xml").read_text()
+    custom = f'<custom><numeric name="mx106_friction" data="{numbers}"/></custom></mujoco>'
+    (folder / "law.xml").write_text(text.replace("</mujoco>", custom))
+    _, nominal = stated_servo("mx106", folder / "nominal.xml")
+    shared = {name: value for name, value in asdict(law).items() if name not in ("viscous", "coulomb")}
+    expected = replace(
+        ServoValues(**nominal),
+        **shared,
+        damping_off=law.viscous,
+        frictionloss=law.coulomb,
+        offset=values.offset,
+    )
+    kernel = session.kernel(runs)
+    zeros = result.problem.offsets(result.problem.to_unit(result.values)[None], runs)
+    errors = misfit(runs, kernel.split(kernel.readings(expected.array()[None], zeros)[0]))
+    words = ("--model", folder / "nominal.xml", "--with-model", folder / "law.xml")
+    found = compared(capsys, folder / "log.mcap", *words)
+    assert found["misfit"]["by_log"] == pytest.approx(errors.by_run, abs=1e-12)
+    assert found["misfit"]["mae_rad"] != pytest.approx(found["candidates"]["nominal"]["mae_rad"])
+
+
+def test_the_page_of_a_comparison(place, capsys, tmp_path):
+    """The traces go to a page when asked for."""
+    pytest.importorskip("matplotlib")
+    folder = place[0]
+    page = tmp_path / "page.html"
+    words = ("--model", folder / "nominal.xml", "--fit", folder / "fits" / "mx106.json", "--report", page)
+    found = compared(capsys, folder / "log.mcap", *words)
+    assert found["outputs"]["report"] == str(page)
+    assert "mx106.json, mrad" in page.read_text()
