@@ -30,7 +30,7 @@ _PUNCH_WIDTH = 2.0 * np.pi / 4096  # [rad] one count: what the firmware can see 
 _LONGEST = 0.1  # share of all threads' work that one task may have, for an even finish
 _RECORD = np.dtype([(name, np.float64) for name in FIELDS])
 _LAW = [COLUMN[name] for name in FRICTION_FIELDS[1:] if name not in ("stribeck_speed", "stribeck_exponent")]
-_NEUTRAL = {"sag": 0.0, "follow": 0.0, "punch": 0.0, "dead_zone": 0.0, "collapse_to": 1.0, "bias": 0.0}
+_NEUTRAL = {"sag": 0.0, "follow": 0.0, "punch": 0.0, "dead_zone": 0.0, "collapse_to": 1.0, "bias": 0.0, "loop_lag": 0.0}
 _EFFECTS, _NO_EFFECTS = [COLUMN[name] for name in _NEUTRAL], np.array(list(_NEUTRAL.values()))
 _UNLIMITED = 1e6  # [N m] torque limit of volts and forces, which have none
 
@@ -53,7 +53,7 @@ def kernel_options(model: mujoco.MjModel, timestep: float | None = None) -> Kern
 
     Args:
         model: the compiled bench model.
-        timestep: another step [s] than the model's.
+        timestep: another step [s] than the model's, with friction that stops at once.
 
     Raises:
         ModelError: another integrator or solver option than the kernel's closed form holds for.
@@ -73,6 +73,9 @@ def kernel_options(model: mujoco.MjModel, timestep: float | None = None) -> Kern
     if wrong:
         raise ModelError(f"the bench model does not step the kernel's equations: {'; '.join(wrong)}")
     width = float(model.dof_solimp[0, 1])
+    if timestep is not None:
+        # A step of one's own asks for physics, not for MuJoCo's: dry friction then stops the joint within a step.
+        return KernelOptions(step, 1.0 / step)
     # MuJoCo keeps the time constant at two steps or more (refsafe).
     return KernelOptions(step, 2.0 / (width * max(float(time_constant), 2.0 * step)))
 
@@ -246,9 +249,10 @@ def _fill_lanes(
             q0[block, i], v0[block, i] = rig.q0 - zero + starts[c, r, 0], rig.dq0 + starts[c, r, 1]
             # Volts and torques meet no position error: nothing to track, to shift, to widen or to hold back.
             tracks = 1.0 - rig.absolute
-            limit = x.forcerange * rig.force_scale if tracks else _UNLIMITED
+            rest = 1.0 + x.rest * (rig.rest - 1.0)
+            limit = x.forcerange * rig.force_scale * rest if tracks else _UNLIMITED
             stall = limit if tracks else rig.full * x.kp
-            lane[k.GAIN], lane[k.LIMIT], lane[k.TRACK] = rig.gain * (x.kp if rig.has_kp else 1.0), limit, tracks
+            lane[k.GAIN], lane[k.LIMIT], lane[k.TRACK] = rig.gain * (x.kp if rig.has_kp else 1.0) * rest, limit, tracks
             lane[k.PART] = x.delay / h - np.floor(x.delay / h)
             lane[k.KEPT], lane[k.SHIFT] = 1.0 - lane[k.PART], -zero * tracks
             lane[k.GOAL_STEP] = x.goal_speed * h if x.goal_speed < 0.1 * NO_LIMIT else np.inf
@@ -261,18 +265,19 @@ def _fill_lanes(
             lane[k.FADE_SHIFT] = LOG2_LOG2_E - x.stribeck_exponent * np.log2(x.stribeck_speed)
             lane[k.SAG], lane[k.BACK_EMF] = x.sag / max(stall, 1e-9) ** 2, lane[k.BACK_ON]
             lane[k.FOLLOW], lane[k.BIAS], lane[k.STEEP] = x.follow, x.bias, 1.0 / _PUNCH_WIDTH
+            lane[k.LAG] = x.loop_lag * tracks
             lane[k.PUNCH], lane[k.DEAD] = x.punch * tracks, x.dead_zone * tracks
             lane[k.COLLAPSE_AT], lane[k.COLLAPSE_TO] = x.collapse_at if tracks else np.inf, x.collapse_to
 
 
 def _rigs(runs: Sequence[BenchRun], volt_scale: float, supply: float) -> npt.NDArray[np.void]:
     """What is constant in each run, as records: torque per command for each N m/rad of kp, at full supply, ..."""
-    names = ("absolute", "has_kp", "gain", "force_scale", "full", "inertia", "gravity", "q0", "dq0")
+    names = ("absolute", "has_kp", "gain", "force_scale", "full", "inertia", "gravity", "q0", "dq0", "rest")
     rows = []
     for run in runs:
         gain = drive_gain(1.0, run, volt_scale)
         command = (run.absolute, run.control != "force", gain, run.force_scale, supply * gain)
-        rows.append((*command, run.inertia, run.gravity_torque, run.q0, run.dq0))
+        rows.append((*command, run.inertia, run.gravity_torque, run.q0, run.dq0, run.rest))
     return np.array(rows, [(name, np.float64) for name in names])
 
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 from frasa_sysid.bench_kernel import BenchKernel, KernelOptions, kernel_options
 from frasa_sysid.calibration import load_model
@@ -41,6 +42,16 @@ class BenchSession:
     ) -> None:
         self._pool.shutdown(cancel_futures=True)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What another process needs to make its own; one thread there, as there are many of them."""
+        return {"model_path": self.model_path, "servo": self.servo, "options": self.options, "step": self._model_step}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.model_path, self.servo, self.options = state["model_path"], state["servo"], state["options"]
+        self._model_step = state["step"]
+        self.threads = 1
+        self._pool = ThreadPoolExecutor(1)
+
     @property
     def volt_scale(self) -> float:
         """Torque per volt [N m/V] for each N m/rad of kp."""
@@ -67,9 +78,9 @@ class BenchSession:
         """The compiled simulation of some runs."""
         return BenchKernel(runs, self.options, self.volt_scale, self.servo.supply_voltage, self._pool, self.threads)
 
-    def mujoco(self) -> BenchSimulator:
-        """The same bench through MuJoCo."""
-        return BenchSimulator(self.model_path, self.volt_scale, self.threads)
+    def mujoco(self, law: bool = False) -> BenchSimulator:
+        """The same bench through MuJoCo; `law` for friction beyond M1, evaluated at every step by a callback."""
+        return BenchSimulator(self.model_path, self.volt_scale, self.threads, law)
 
     def split(self, kernel: BenchKernel, candidates: FloatArray) -> list[list[FloatArray]]:
         """Readings of each candidate as an array for each run [rad]."""

@@ -79,11 +79,7 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(
             Effect(
                 "profile",
                 "the firmware limits the speed of the goal",
-                (
-                    Number(
-                        "goal_speed", "servo", "rad/s", lambda force, speed: (0.1 * speed, 1.3 * speed, 0.6 * speed)
-                    ),
-                ),
+                (Number("goal_speed", "servo", "rad/s", lambda force, speed: (0.1 * speed, 1.3 * speed, 0.6 * speed)),),
             ),
             Effect(
                 "sag",
@@ -93,7 +89,7 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(
             Effect(
                 "supply",
                 "the motor follows the measured changes of the supply",
-                (Number("follow", "bench", "1", _flat(0.0, 1.5, 1.0)),),
+                (),
             ),
             Effect(
                 "punch",
@@ -113,14 +109,23 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(
                     Number("collapse_to", "servo", "1", _flat(0.1, 1.0, 0.9)),
                 ),
             ),
+            Effect(
+                "loop",
+                "the firmware acts on an angle that is older than its loop says",
+                (Number("loop_lag", "servo", "s", _flat(0.0, 0.01, 0.0005)),),
+            ),
             Effect("offsets", "every rig has its own zero", ()),
-            Effect("bias", "a constant torque", (Number("bias", "bench", "N m", lambda force, speed: (-force, force, 0.0)),)),
+            Effect(
+                "bias",
+                "a constant torque",
+                (Number("bias", "bench", "N m", lambda force, speed: (-force, force, 0.0)),),
+            ),
         )
     }
 )
 
 # Those the fit tries by itself, if the logs can show them at all (see `possible`).
-AUTOMATIC = ("profile", "sag", "supply", "punch", "backlash", "collapse", "offsets")
+AUTOMATIC = ("profile", "sag", "supply", "punch", "backlash", "collapse", "loop", "offsets")
 
 
 def law_numbers(law: str) -> tuple[list[Number], dict[str, str]]:

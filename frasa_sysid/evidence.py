@@ -10,6 +10,7 @@ Jacobian J_l of log l, weights W_l of the robust loss and gradients g_l = J_l^T 
 Samples of one log are anything but independent, so counting them one by one would make
 intervals several times too narrow. With few logs B cannot have full rank; then the spread of
 the residuals with one effective sample per `CORRELATION_TIME` is used where it is larger.
+Beside it stands a bootstrap over logs (`resampling`).
 """
 
 from collections.abc import Sequence
@@ -18,11 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from frasa_sysid.bench_kernel import BenchKernel
 from frasa_sysid.cost import residuals, robust_weights
 from frasa_sysid.problem import FitProblem, FreeParameter
 from frasa_sysid.recording import FloatArray
+from frasa_sysid.resampling import Profile, one_step_bootstrap, profile_likelihoods, worst_pairs
 from frasa_sysid.rig import BenchRun
-from frasa_sysid.rollout import BenchSimulator
+from frasa_sysid.shooting import without_starts
 
 CORRELATION_TIME = 0.25  # [s] over which residuals of one log are taken as one sample
 ON_BOUND = "on its bound"
@@ -33,7 +36,29 @@ _VAGUE = 0.25  # half-width of an interval, as a share of the bounds, that says 
 _RELATIVE = 0.5  # half-width relative to the value that still counts as identified
 _TOGETHER = 0.95  # correlation beyond which only a combination is known
 
-_RECORD = {
+# Numbers for which "half of the value" is no scale: they are zero as often as not.
+_UNSCALED = frozenset(
+    (
+        "offset",
+        "delay",
+        "damping_off",
+        "sag",
+        "follow",
+        "punch",
+        "dead_zone",
+        "bias",
+        "loop_lag",
+        "stribeck",
+        "load_motor",
+        "load_external",
+        "load_motor_stribeck",
+        "load_external_stribeck",
+        "quad_motor",
+        "quad_external",
+    )
+)
+
+RECORD = {
     "kp": "heavier loads at the lowest gain, held still at the horizontal (up_and_down)",
     "forcerange": "large fast steps at the highest gain, so that the duty saturates (sin_time_square to the end)",
     "damping": "fast motion with the motor powered (sin_time_square)",
@@ -42,6 +67,24 @@ _RECORD = {
     "armature": "fast reversals with the smallest load (sin_time_square)",
     "delay": "quick goal changes (sin_time_square or steps), sampled at 100 Hz or more",
     "offset": "the arm moved to both sides of the vertical (sin_sin)",
+    "stribeck": "slow motion through standstill at several speeds (sin_sin)",
+    "stribeck_speed": "slow motion at several speeds between 0.1 and 3 rad/s (sin_sin, up_and_down)",
+    "stribeck_exponent": "slow motion at several speeds between 0.1 and 3 rad/s (sin_sin, up_and_down)",
+    "load_motor": "the same motions with a second load, at least a third heavier or lighter",
+    "load_external": "lowering and holding a heavy load (up_and_down), so that the load drives the motor",
+    "load_motor_stribeck": "slow lifting of two loads (up_and_down)",
+    "load_external_stribeck": "slow lowering of two loads (up_and_down, sin_sin)",
+    "quad_motor": "slow lifting of the heaviest load the servo can hold",
+    "quad_external": "slow lifting of the heaviest load the servo can hold",
+    "sag": "the highest gain with the heaviest load, with the supply voltage logged at every cycle",
+    "follow": "the supply voltage at every cycle, under changing load",
+    "goal_speed": "a step of the goal by 1 rad or more",
+    "punch": "small steps of the goal, of 2 to 20 mrad, at the lowest gain",
+    "dead_zone": "small steps of the goal, of 2 to 20 mrad, at the lowest gain",
+    "collapse_at": "steps of the goal of growing size, at the highest gain",
+    "collapse_to": "steps of the goal of growing size, at the highest gain",
+    "loop_lag": "the same fast motion (sin_time_square) at a high and a low gain",
+    "bias": "the same motion in both directions",
 }
 
 
@@ -79,24 +122,28 @@ class Evidence:
     Attributes:
         estimates: n of them, in the order of the problem.
         correlation: shape (n, n).
+        bootstrap: 95 % interval of each parameter over resampled logs, (n, 2); see `resampling`.
+        profiles: of the parameters in the worst-correlated pairs.
         spread: smallest and largest value when each rig-and-gain group in turn is left out, (n, 2).
     """
 
     estimates: tuple[Estimate, ...]
     correlation: FloatArray
     spread: FloatArray
+    bootstrap: FloatArray
+    profiles: tuple[Profile, ...] = ()
 
 
-def evidence(problem: FitProblem, simulator: BenchSimulator, values: FloatArray) -> Evidence:
+def evidence(problem: FitProblem, kernel: BenchKernel, values: FloatArray) -> Evidence:
     """Intervals and verdicts at a fitted point.
 
     Args:
         problem: what was fitted; its training runs are the evidence.
-        simulator: simulates them, 2 n + 1 times.
+        kernel: simulates them, 2 n + 1 times.
         values: fitted values, shape (n,).
     """
     x = problem.to_unit(values)
-    parts, jacobians = _linearise(problem, simulator, x)
+    parts, jacobians = _linearise(problem, kernel, x)
     A, gradients = _normal_equations(parts, jacobians)
     spread = _residual_spread(problem.train, parts, jacobians)
     inverse, silent = _inverse(A, spread)
@@ -107,40 +154,51 @@ def evidence(problem: FitProblem, simulator: BenchSimulator, values: FloatArray)
     # How wide each interval would be if all the other numbers were known.
     alone = np.minimum(half, quantile * np.sqrt(_noise(A, spread) / np.maximum(np.diag(A), 1e-300)))
     estimates = tuple(_estimate(problem, i, x, half[i], alone[i], correlation[i]) for i in range(len(problem.free)))
-    return Evidence(estimates, correlation, _leave_out_spread(problem, x, inverse, gradients))
+    spread_of_groups = _leave_out_spread(problem, x, inverse, gradients)
+    curvatures = [_curvature(part, jacobian) for part, jacobian in zip(parts, jacobians, strict=True)]
+    draws = one_step_bootstrap(x, curvatures, gradients, inverse, silent, problem.seed)
+    limits = np.quantile(draws, (0.025, 0.975), axis=0)
+    interval = np.column_stack([problem.from_unit(limits[0]), problem.from_unit(limits[1])])
+    pairs = worst_pairs(correlation, half)
+    profiles = profile_likelihoods(problem, kernel, x, A, half, pairs)
+    return Evidence(estimates, correlation, spread_of_groups, interval, profiles)
 
 
-def _linearise(
-    problem: FitProblem, simulator: BenchSimulator, x: FloatArray
-) -> tuple[list[FloatArray], list[FloatArray]]:
+def _linearise(problem: FitProblem, kernel: BenchKernel, x: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
     """Residuals of each training run and their Jacobians with respect to the unit cube, (T, n) each."""
     low = np.maximum(x - _STEP, 0.0)
     high = np.minimum(x + _STEP, 1.0)
     points = [x]
     for i in range(x.size):
         points += [np.where(np.arange(x.size) == i, bound, x) for bound in (low, high)]
-    candidates = [problem.servo_values(problem.from_unit(point)) for point in points]
-    readings = simulator.simulate(problem.train, candidates)
+    table = np.array(points)
+    rows = kernel.readings(problem.candidates(table), problem.offsets(table, kernel.runs))
+    readings = [kernel.split(row) for row in rows]
     columns = [
         [(up - down) / (high[i] - low[i]) for down, up in zip(readings[1 + 2 * i], readings[2 + 2 * i], strict=True)]
         for i in range(x.size)
     ]
     jacobians = [np.nan_to_num(np.column_stack([column[r] for column in columns])) for r in range(len(problem.train))]
-    return [np.nan_to_num(part) for part in residuals(problem.train, readings[0])], jacobians
+    parts = [np.nan_to_num(part) for part in residuals(problem.train, readings[0])]
+    return parts, without_starts(problem, kernel, x, jacobians)
 
 
 def _normal_equations(
     parts: Sequence[FloatArray], jacobians: Sequence[FloatArray]
 ) -> tuple[FloatArray, list[FloatArray]]:
     """Curvature A (n, n) and the gradient of each run (n,), every run with equal weight."""
-    n = jacobians[0].shape[1]
-    A = np.zeros((n, n))
-    gradients = []
-    for part, jacobian in zip(parts, jacobians, strict=True):
-        weighted = jacobian * (robust_weights(part) / part.size)[:, None]
-        A += weighted.T @ jacobian
-        gradients.append(weighted.T @ part)
+    A = np.sum([_curvature(part, jacobian) for part, jacobian in zip(parts, jacobians, strict=True)], axis=0)
+    gradients = [
+        (jacobian * (robust_weights(part) / part.size)[:, None]).T @ part
+        for part, jacobian in zip(parts, jacobians, strict=True)
+    ]
     return A, gradients
+
+
+def _curvature(part: FloatArray, jacobian: FloatArray) -> FloatArray:
+    """One run's share of the curvature, (n, n)."""
+    weighted = jacobian * (robust_weights(part) / part.size)[:, None]
+    return np.asarray(weighted.T @ jacobian)
 
 
 def _residual_spread(
@@ -209,7 +267,7 @@ def _estimate(
         max(free.low, value - half * width),
         min(free.high, value + half * width),
         verdict,
-        "" if verdict == "identified" else f"record {_RECORD[free.field]}",
+        "" if verdict == "identified" else f"record {RECORD[free.field]}",
     )
 
 
@@ -229,7 +287,7 @@ def _verdict(problem: FitProblem, i: int, x: float, half: float, alone: float, c
 
 def _too_wide(free: FreeParameter, x: float, half: float) -> bool:
     """Whether the interval is wide against the value itself; offsets and delays have no such scale."""
-    if free.field in ("offset", "delay", "damping_off"):
+    if free.field in _UNSCALED:
         return False
     value = free.low + x * (free.high - free.low)
     return half * (free.high - free.low) > _RELATIVE * abs(value)

@@ -14,7 +14,8 @@ from frasa_sysid.bench_kernel import BenchKernel
 from frasa_sysid.problem import FitProblem
 from frasa_sysid.recording import FloatArray
 
-_STEP = 5e-4  # of the unit cube, for forward differences
+_STEP = 5e-4  # of the unit cube, for forward differences ...
+FINE_STEPS = (1e-4, 2e-5)  # ... and for a last polish, where the coarse ones blur the valley
 _INSIDE = 1e-6  # least_squares wants a start strictly inside its bounds
 ITERATIONS = 40
 
@@ -42,6 +43,7 @@ def finish(
     x: FloatArray,
     iterations: int = ITERATIONS,
     held: FloatArray | None = None,
+    step: float = _STEP,
 ) -> Finished:
     """Polish a point of the unit cube on all runs of a kernel.
 
@@ -51,9 +53,10 @@ def finish(
         x: start, shape (n,).
         iterations: at most.
         held: which numbers stay as they are, shape (n,); none by default.
+        step: of the unit cube, for derivatives.
     """
     used = 0
-    moving = np.flatnonzero(~held) if held is not None else np.arange(x.size)
+    moving = np.flatnonzero(np.logical_not(held)) if held is not None else np.arange(x.size)
     latest: tuple[FloatArray, FloatArray] | None = None
 
     def full(points: FloatArray) -> FloatArray:
@@ -69,7 +72,7 @@ def finish(
 
     def jacobian(point: FloatArray) -> FloatArray:
         # Steps away from the nearer face, so that every point stays inside the box.
-        steps = np.where(point > 0.5, -_STEP, _STEP)
+        steps = np.where(point > 0.5, -step, step)
         moved = stacked(point + np.diag(steps))
         base = latest[1] if latest is not None and np.array_equal(latest[0], point) else vector(point)
         return np.asarray(((moved - base) / steps[:, None]).T)

@@ -1,33 +1,31 @@
 """The fit: search, finish, weigh the evidence, and say how much better than nominal it is.
 
-CMA-ES looks for the basin on a spread-out subset of the runs, least squares settles on all
-of them, and every number that is reported is computed on all of them.
+A friction law richer than M1 is fitted along its ladder (M1, then M2 and M3, then M4, M5, M6), each
+starting also from the solution of the simpler one, so that a richer law never fits worse.
 """
 
-import hashlib
 import importlib.metadata
-import json
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
-import numpy as np
-
-from frasa_sysid.cost import Misfit, misfit, residuals, robust_cost
+from frasa_sysid.bench_kernel import BenchKernel
+from frasa_sysid.bench_session import BenchSession
+from frasa_sysid.cost import Misfit, misfit
 from frasa_sysid.evidence import ON_BOUND, Evidence, evidence
-from frasa_sysid.finish import finish
-from frasa_sysid.problem import FitProblem
+from frasa_sysid.problem import FitProblem, state_problem
 from frasa_sysid.recording import FloatArray
+from frasa_sysid.restarts import Optimizer, Solved, Tell, point_of, solve
 from frasa_sysid.rig import BenchRun
-from frasa_sysid.rollout import BenchSimulator
-from frasa_sysid.search import SearchResult, Stop, search
+from frasa_sysid.search import Stop
+from frasa_sysid.servo_values import ServoValues
+from frasa_sysid.shooting import shoot
 
-SUBSET = 16  # runs that the search looks at; the finisher and all numbers use every run
-EVALUATIONS_PER_PARAMETER = 60
+RESTARTS = 3  # searches of the final problem; they must agree
 _UNEXCITED_LOSS = 0.005  # relative loss in cost for which an unexcited number goes back to nominal
-Optimizer = Literal["cmaes+lsq", "cmaes"]
+# Which simpler laws a law starts from.
+_BELOW = {"m1": (), "m2": ("m1",), "m3": ("m1",), "m4": ("m2", "m3"), "m5": ("m4",), "m6": ("m5",)}
 
 
 @dataclass(frozen=True)
@@ -40,11 +38,9 @@ class FitResult:
         evidence: intervals, verdicts, correlations.
         nominal, fitted: errors on the training runs.
         held_out_nominal, held_out: errors on the held-out runs; NaN when there are none.
-        stop: why the search ended.
-        trace: best cost of the search after each generation [rad].
+        solved: starts, and why the search ended.
         evaluations: candidates simulated, the finisher's and the evidence's included.
         seconds: wall clock.
-        friction: the law, `m1` here.
         inputs: sha256 by source file.
         versions: of what the result depends on.
     """
@@ -56,139 +52,196 @@ class FitResult:
     fitted: Misfit
     held_out_nominal: Misfit
     held_out: Misfit
-    stop: Stop
-    trace: tuple[float, ...]
+    solved: Solved
     evaluations: int
     seconds: float
-    friction: str
     inputs: dict[str, str]
-    versions: dict[str, str]
+    versions: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def friction(self) -> str:
+        """The friction law, `m1` to `m6`."""
+        return self.problem.law
+
+    @property
+    def stop(self) -> Stop:
+        """Why the search ended."""
+        return self.solved.stop
+
+    @property
+    def trace(self) -> tuple[float, ...]:
+        """Best cost of the first search after each generation [rad]."""
+        return self.solved.trace
 
 
 def fit(
     problem: FitProblem,
-    simulator: BenchSimulator,
+    session: BenchSession,
     inputs: dict[str, str],
     evaluations: int | None = None,
     optimizer: Optimizer = "cmaes+lsq",
     checkpoint: Path | None = None,
-    on_progress: Callable[[str, int, float], None] | None = None,
+    on_progress: Tell | None = None,
+    restarts: int = RESTARTS,
+    known: Sequence[FloatArray] = (),
 ) -> FitResult:
     """Fit the free parameters of a problem.
 
     Args:
         problem: what to fit on what.
-        simulator: of the bench.
+        session: simulates the bench.
         inputs: sha256 by source file, kept with the result.
-        evaluations: budget of the search; by default 60 per parameter.
+        evaluations: budget of each search; by default 60 per parameter.
         optimizer: `cmaes` alone, or with the least-squares finisher.
         checkpoint: file for resuming the search after a kill.
         on_progress: told (stage, evaluations, best cost [rad]).
+        restarts: searches of the final problem.
+        known: solutions already known of this very problem, points of the unit cube.
 
     Returns:
         The result; with `stop` INTERRUPTED when the user stopped the search.
     """
     started = time.monotonic()
-    budget = evaluations or EVALUATIONS_PER_PARAMETER * len(problem.free)
     tell = on_progress or (lambda stage, count, best: None)
-    found = _search(problem, simulator, budget, optimizer, checkpoint, tell)
-    x, used, stop = found.x, found.evaluations, found.stop
-    if optimizer == "cmaes+lsq" and stop is not Stop.INTERRUPTED:
-        tell("finishing", used, found.cost)
-        try:
-            finished = finish(problem, simulator, x)
-            x, used = finished.x, used + finished.evaluations
-            stop = Stop.FINISHED if finished.converged else stop
-        except KeyboardInterrupt:
-            stop = Stop.INTERRUPTED
-    tell("weighing the evidence", used, found.cost)
-    weighed = evidence(problem, simulator, problem.from_unit(x))
-    values, more = _drop_unexcited(problem, simulator, problem.from_unit(x), weighed)
-    used += 2 * len(problem.free) + 1 + more
-    weighed = _restated(weighed, values)
-    pair = [problem.nominal_values(), values]
-    nominal, fitted = _misfits(problem, simulator, problem.train, pair)
-    held_nominal, held = _misfits(problem, simulator, problem.held_out, pair)
+    nested = known or (climb(problem, session, evaluations, checkpoint, tell) if optimizer == "cmaes+lsq" else ())
+    solved = solve(problem, session, evaluations, optimizer, restarts, nested, checkpoint, tell)
+    if any(run.free_start for run in problem.train) and solved.stop is not Stop.INTERRUPTED:
+        tell("multiple shooting", solved.evaluations, solved.cost)
+        problem, solved = _shot(problem, session, solved)
+    kernel = session.kernel(problem.train)
+    tell("weighing the evidence", solved.evaluations, solved.cost)
+    weighed = evidence(problem, kernel, problem.from_unit(solved.x))
+    values, more = _drop_unexcited(problem, kernel, problem.from_unit(solved.x), weighed)
+    used = solved.evaluations + 2 * len(problem.free) + 1 + more
+    nominal, fitted = misfits(problem, kernel, [None, values])
+    held_nominal = held = misfit([], [])
+    if problem.held_out:
+        held_nominal, held = misfits(problem, session.kernel(problem.held_out), [None, values])
     return FitResult(
         problem=problem,
         values=values,
-        evidence=weighed,
+        evidence=_restated(weighed, values),
         nominal=nominal,
         fitted=fitted,
         held_out_nominal=held_nominal,
         held_out=held,
-        stop=stop,
-        trace=tuple(found.trace.best),
+        solved=solved,
         evaluations=used,
         seconds=time.monotonic() - started,
-        friction="m1",
         inputs=inputs,
-        versions={name: importlib.metadata.version(name) for name in ("frasa", "mujoco", "cmaes", "numpy", "scipy")},
+        versions=versions(),
     )
 
 
-def simulated(result: FitResult, simulator: BenchSimulator, runs: Sequence[BenchRun]) -> list[FloatArray]:
-    """What the fit sees on runs: readings at the measured times [rad], one array per run."""
-    return simulator.simulate(runs, [result.problem.servo_values(result.values)])[0]
+def _shot(problem: FitProblem, session: BenchSession, solved: Solved) -> tuple[FitProblem, Solved]:
+    """The problem with fitted starts, and its solution."""
+    shot = shoot(problem, session, solved.x)
+    with_starts = replace(problem, train=shot.runs)
+    cost = session.kernel(shot.runs).costs(problem.candidates(shot.x[None]), problem.offsets(shot.x[None], shot.runs))
+    return with_starts, replace(
+        solved, x=shot.x, cost=float(cost[0]), evaluations=solved.evaluations + shot.evaluations
+    )
 
 
-def _search(
+def versions() -> dict[str, str]:
+    """Of everything a result depends on."""
+    names = ("frasa", "mujoco", "cmaes", "numpy", "scipy", "numba")
+    return {name: importlib.metadata.version(name) for name in names}
+
+
+def climb(
+    problem: FitProblem, session: BenchSession, evaluations: int | None, checkpoint: Path | None, tell: Tell
+) -> tuple[FloatArray, ...]:
+    """Solutions of the simpler laws as points of this problem's cube; the best of them first."""
+    solutions = ladder(problem, session, _below(problem.law), evaluations, checkpoint, tell)
+    points = [(solved.cost, point_of(problem, other, solved.x)) for other, solved in solutions.values()]
+    last = sorted(points, key=lambda pair: pair[0])[:1]
+    return tuple(point for _, point in last)
+
+
+def ladder(
     problem: FitProblem,
-    simulator: BenchSimulator,
-    budget: int,
-    optimizer: Optimizer,
+    session: BenchSession,
+    laws: Sequence[str],
+    evaluations: int | None,
     checkpoint: Path | None,
-    tell: Callable[[str, int, float], None],
-) -> SearchResult:
-    # Alone, CMA-ES has to settle on all runs itself.
-    runs = subset(problem.train, SUBSET) if optimizer == "cmaes+lsq" else list(problem.train)
+    tell: Tell,
+) -> dict[str, tuple[FitProblem, Solved]]:
+    """Every law of a list fitted on the problem's runs with its effects, simple ones first."""
+    found: dict[str, tuple[FitProblem, Solved]] = {}
+    for law in laws:
+        one = with_law(problem, law, problem.effects)
+        nested = [point_of(one, *_pair(found[below])) for below in _BELOW[law] if below in found]
+        solved = solve(one, session, evaluations, nested=nested, checkpoint=checkpoint, tell=_named(tell, law))
+        found[law] = (one, solved)
+    return found
 
-    def costs(points: list[FloatArray]) -> list[float]:
-        candidates = [problem.servo_values(problem.from_unit(point)) for point in points]
-        return [robust_cost(residuals(runs, readings)) for readings in simulator.simulate(runs, candidates)]
 
-    start = problem.to_unit(problem.nominal_values())
-    return search(
-        costs,
-        start,
+def with_law(problem: FitProblem, law: str, effects: Sequence[str]) -> FitProblem:
+    """The same runs and servo with another law and other effects."""
+    delay = next(((one.low, one.high) for one in problem.free if one.field == "delay"), (0.0, 0.0))
+    return state_problem(
+        problem.servo,
+        problem.plain,
+        problem.train,
+        problem.held_out,
+        delay,
+        problem.hold_out_rule,
         problem.seed,
-        budget,
-        checkpoint,
-        _identity(problem, simulator, optimizer),
-        lambda count, best: tell("searching", count, best),
+        law,
+        effects,
     )
 
 
-def subset(runs: Sequence[BenchRun], count: int) -> list[BenchRun]:
-    """At most `count` runs, spread evenly over trajectories, loads and gains."""
-    ordered = sorted(runs, key=lambda run: (run.trajectory, run.gravity_torque, run.kp_scale, run.name))
-    if len(ordered) <= count:
-        return ordered
-    return [ordered[i] for i in np.linspace(0, len(ordered) - 1, count).round().astype(int)]
+def misfits(problem: FitProblem, kernel: BenchKernel, points: Sequence[FloatArray | None]) -> list[Misfit]:
+    """Errors of parameter values, (n,) each, on a kernel's runs; None stands for nominal."""
+    errors = []
+    for values in points:
+        if values is None:
+            rows = kernel.readings(nominal_candidate(problem)[None])
+        else:
+            offsets = problem.offsets(problem.to_unit(values)[None], kernel.runs)
+            rows = kernel.readings(exact_candidate(problem, values)[None], offsets)
+        errors.append(misfit(kernel.runs, kernel.split(rows[0])))
+    return errors
 
 
-def _identity(problem: FitProblem, simulator: BenchSimulator, optimizer: str) -> str:
-    """Hash of everything the search depends on: another input never resumes this one's checkpoint."""
-    runs = hashlib.sha256()
-    for run in problem.train:
-        # Everything in it: the same log with another load, gain or clock is another run.
-        for one in fields(run):
-            value = getattr(run, one.name)
-            runs.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
-    facts = {
-        "free": [(one.name, one.low, one.high, one.nominal) for one in problem.free],
-        "nominal": dict(problem.nominal),
-        "train": runs.hexdigest(),
-        "model": simulator.fingerprint,
-        "seed": problem.seed,
-        "optimizer": optimizer,
-        "versions": {name: importlib.metadata.version(name) for name in ("frasa", "mujoco", "cmaes")},
-    }
-    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+def nominal_candidate(problem: FitProblem) -> FloatArray:
+    """Numbers of the nominal servo for the kernel, shape (fields,)."""
+    return ServoValues(**problem.plain).array()
+
+
+def simulated(result: FitResult, session: BenchSession, runs: Sequence[BenchRun]) -> list[FloatArray]:
+    """What the fit sees on runs: readings at the measured times [rad], one array per run."""
+    kernel = session.kernel(runs)
+    x = result.problem.to_unit(result.values)[None]
+    # Not through the unit cube: a number that went back to nominal may lie outside it.
+    table = exact_candidate(result.problem, result.values)[None]
+    return kernel.split(kernel.readings(table, result.problem.offsets(x, runs))[0])
+
+
+def exact_candidate(problem: FitProblem, values: FloatArray) -> FloatArray:
+    """Numbers for the kernel of exactly these parameter values, (n,) to (fields,)."""
+    return problem.servo_values(values).array()
+
+
+def _below(law: str) -> tuple[str, ...]:
+    order: list[str] = []
+    for below in _BELOW[law]:
+        order += [one for one in (*_below(below), below) if one not in order]
+    return tuple(order)
+
+
+def _pair(found: tuple[FitProblem, Solved]) -> tuple[FitProblem, FloatArray]:
+    return found[0], found[1].x
+
+
+def _named(tell: Tell, law: str) -> Tell:
+    return lambda stage, count, best: tell(f"{law} {stage}", count, best)
 
 
 def _drop_unexcited(
-    problem: FitProblem, simulator: BenchSimulator, values: FloatArray, weighed: Evidence
+    problem: FitProblem, kernel: BenchKernel, values: FloatArray, weighed: Evidence
 ) -> tuple[FloatArray, int]:
     """Numbers the logs do not speak of, and delays on their bound, go back to nominal unless the cost objects.
 
@@ -197,9 +250,8 @@ def _drop_unexcited(
     """
 
     def cost(point: FloatArray) -> float:
-        return robust_cost(
-            residuals(problem.train, simulator.simulate(problem.train, [problem.servo_values(point)])[0])
-        )
+        x = problem.to_unit(point)[None]
+        return float(kernel.costs(exact_candidate(problem, point)[None], problem.offsets(x, kernel.runs))[0])
 
     # No delay at all lies outside the bounds (the shortest one MuJoCo acts on is a step), so it is tried here.
     unexcited = [
@@ -224,10 +276,3 @@ def _restated(weighed: Evidence, values: FloatArray) -> Evidence:
         for one, value in zip(weighed.estimates, values, strict=True)
     )
     return replace(weighed, estimates=estimates)
-
-
-def _misfits(
-    problem: FitProblem, simulator: BenchSimulator, runs: Sequence[BenchRun], points: Sequence[FloatArray]
-) -> list[Misfit]:
-    candidates = [problem.servo_values(point) for point in points]
-    return [misfit(runs, readings) for readings in simulator.simulate(runs, candidates)]

@@ -80,6 +80,7 @@ class FitProblem:
         law: friction law, `m1` to `m6`.
         effects: what else is switched on, names of `effects.EFFECTS`.
         ties: fields that equal another one.
+        plain: `nominal` as it was before any law or effect added its numbers.
     """
 
     servo: Servo
@@ -92,6 +93,7 @@ class FitProblem:
     law: str = "m1"
     effects: tuple[str, ...] = ()
     ties: Mapping[str, str] = field(default_factory=dict)
+    plain: Mapping[str, float] = field(default_factory=dict)
 
     def from_unit(self, x: FloatArray) -> FloatArray:
         """Parameter values from points of the unit cube, both of shape (..., n)."""
@@ -197,8 +199,9 @@ def state_problem(
     Args:
         known: the servo.
         nominal: value of every field before the fit.
-        train, held_out: runs; a force limit or an offset means nothing to voltage-driven ones, a
+        train: runs; a force limit or an offset means nothing to voltage-driven ones, a
             switched-off damping nothing to those that are always powered.
+        held_out: runs.
         delay_range: shortest and longest that the model tells apart [s].
         rule: hold-out rule, for the record.
         seed: of the search.
@@ -224,10 +227,14 @@ def state_problem(
         neutral = start if one.field.startswith("stribeck_") else min(max(neutral, low), high)
         values[one.field] = neutral
         free.append(FreeParameter(f"{owner}.{one.field}", one.unit, low, high, neutral, start))
+    if "sag" in effects:
+        values["rest"] = 1.0
+    if "supply" in effects:
+        values["follow"] = 1.0
     if "offsets" in effects:
         free += _rig_offsets(train)
     return FitProblem(
-        known, values, tuple(free), tuple(train), tuple(held_out), rule, seed, law, tuple(effects), ties
+        known, values, tuple(free), tuple(train), tuple(held_out), rule, seed, law, tuple(effects), ties, nominal
     )
 
 
@@ -329,9 +336,7 @@ def _parse(wanted: str, known: Sequence[float | str], rule: str) -> float | str:
     return near[0] if near else number
 
 
-def _free(
-    owner: str, field: str, nominal: Mapping[str, float], delay_range: tuple[float, float]
-) -> FreeParameter:
+def _free(owner: str, field: str, nominal: Mapping[str, float], delay_range: tuple[float, float]) -> FreeParameter:
     value = nominal[field]
     if field == "offset":
         return FreeParameter("bench.offset", "rad", -_LONGEST_OFFSET, _LONGEST_OFFSET, value, value)

@@ -20,6 +20,8 @@ _START_WINDOW = 0.03  # [s] of data at most for the speed at the start ...
 _START_SAMPLES = 12  # ... and samples at most: at 1 kHz a step from rest is long on its way after 30 ms
 _STILL = 0.004  # [rad] spread within that window that still counts as standing
 _SUPPLY_SMOOTHING = 0.1  # [s] readings of a sagging supply alias with the PWM; their mean does not
+_REST = 0.2  # share of a run, that of the smallest errors, in which the supply counts as unloaded
+_AGREES = 0.02  # relative difference within which a declared supply is believed
 _SUPPLY_RATE = 5.0  # [Hz] below it a measured supply says nothing about sag within a run
 _NO_LOAD_INERTIA = 1e-6  # [kg m^2] stands for a bare horn, far below any armature
 
@@ -46,6 +48,8 @@ class BenchRun:
         q0, dq0: measured angle [rad] and speed [rad/s] at the start.
         t: measured times [s], shape (T,); zero is the first.
         y: measured angle [rad], shape (T,).
+        rest: supply under the least load over the one that the scales are for.
+        free_start: the start is fitted too (pieces of a longer run).
         step, weight: position of each measured time on the grid: between states `step` and
             `step` + 1, `weight` of the way, shape (T,).
     """
@@ -70,6 +74,8 @@ class BenchRun:
     y: FloatArray
     step: FloatArray
     weight: FloatArray
+    rest: float = 1.0
+    free_start: bool = False
 
     @property
     def steps(self) -> int:
@@ -128,6 +134,7 @@ def bench_run(recording: Recording, servo: Servo, timestep: float) -> BenchRun:
         y=position.y,
         step=cells,
         weight=t / timestep - cells,
+        rest=1.0 if absolute else _rest(recording, drive, position) / supply,
     )
 
 
@@ -232,6 +239,19 @@ def _held_means(drive: Signal, start: float, steps: int, timestep: float) -> Flo
     return np.asarray(np.diff(total) / timestep)
 
 
+def _rest(recording: Recording, drive: Signal, position: Signal) -> float:
+    """Supply [V] while the servo pulls least: mean of what was measured at the smallest errors."""
+    measured = recording.signals.get("supply_voltage")
+    declared = recording.rig.supply_voltage
+    if measured is None:
+        return _declared_supply(recording)
+    goal = drive.y[np.maximum(np.searchsorted(drive.t, measured.t, side="right") - 1, 0)]
+    error = np.abs(goal - np.interp(measured.t, position.t, position.y))
+    rest = float(np.mean(measured.y[error <= np.quantile(error, _REST)]))
+    # A declared supply that agrees is the better number: a servo measures in steps of 0.1 V.
+    return declared if declared and abs(declared - rest) < _AGREES * rest else rest
+
+
 def _supply_course(recording: Recording, start: float, steps: int, timestep: float) -> FloatArray:
     """Supply in each step over its median while powered, shape (steps,)."""
     measured = recording.signals.get("supply_voltage")
@@ -305,6 +325,7 @@ def _piece(run: BenchRun, index: int, first: int, last: int, timestep: float, le
         y=run.y[first : last + 1],
         step=cells,
         weight=t / timestep - cells,
+        free_start=True,
     )
 
 

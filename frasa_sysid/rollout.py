@@ -16,7 +16,8 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from frasa_sysid.calibration import load_model, sha256_of
+from frasa_sysid.calibration import load_model, servo_classes, servo_law, sha256_of
+from frasa_sysid.calibration.apply import LEAST_FRICTION
 from frasa_sysid.errors import ModelError
 from frasa_sysid.kernel import slew_limited
 from frasa_sysid.recording import FloatArray
@@ -24,6 +25,7 @@ from frasa_sysid.rig import BenchRun
 from frasa_sysid.servo_values import NO_LIMIT, ServoValues
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_NO_FRICTION = [0.0] * 9 + [1.0, 1.0]  # coefficients in the order of `Friction`
 _MEMORY = 96e6  # [bytes] of states in one call; larger batches are split
 
 
@@ -45,10 +47,14 @@ class BenchSimulator:
         model_path: `robot_model/bench_pendulum.xml`.
         torque_per_volt_scale: torque per volt [N m/V] for each N m/rad of kp (voltage benches).
         threads: worker threads; by default one per core.
+        law: evaluate friction laws beyond M1, by the callback that published models use.
     """
 
-    def __init__(self, model_path: Path, torque_per_volt_scale: float, threads: int | None = None) -> None:
-        self._model = load_model(model_path)
+    def __init__(
+        self, model_path: Path, torque_per_volt_scale: float, threads: int | None = None, law: bool = False
+    ) -> None:
+        self._law = law
+        self._model = _with_law(model_path) if law else load_model(model_path)
         self._joint = _hinge(self._model, model_path)
         self._body = int(self._model.jnt_bodyid[self._joint])
         self._volt_scale = torque_per_volt_scale
@@ -175,11 +181,14 @@ class BenchSimulator:
         gain = power * drive_gain(values.kp, run, self._volt_scale)
         model.actuator_gainprm[0, 0] = gain
         model.actuator_biasprm[0, 1] = 0.0 if run.absolute else -gain
-        limit = 1e6 if run.absolute else values.forcerange * run.force_scale
+        # A step that is powered for a part of it gets that part of the torque, saturated or not.
+        limit = 1e6 if run.absolute else max(power, 1e-9) * values.forcerange * run.force_scale
         model.actuator_forcerange[0] = (-limit, limit)
         model.actuator_delay[0] = values.delay
         model.dof_damping[0] = power * values.damping + (1.0 - power) * values.damping_off
-        model.dof_frictionloss[0] = values.frictionloss
+        model.dof_frictionloss[0] = max(values.frictionloss, LEAST_FRICTION) if self._law else values.frictionloss
+        if self._law:
+            servo_law.set_law(model, servo_classes(model)[0], values.friction())
         model.dof_armature[0] = values.armature
         mujoco.mj_setConst(model, self._scratch)
 
@@ -191,6 +200,16 @@ class BenchSimulator:
         model.body_mass[self._body] = mass
         model.body_ipos[self._body] = (0.0, 0.0, -distance)
         model.body_inertia[self._body] = run.inertia - mass * distance**2
+
+
+def _with_law(model_path: Path) -> mujoco.MjModel:
+    """The bench model with room for the coefficients of its servo's friction law."""
+    plain = load_model(model_path)
+    spec = mujoco.MjSpec.from_file(str(model_path))
+    spec.add_numeric(name=servo_classes(plain)[0] + servo_law.SUFFIX, size=servo_law.NUMBERS, data=_NO_FRICTION)
+    model = spec.compile()
+    servo_law.install()
+    return model
 
 
 def drive_gain(kp: float, run: BenchRun, volt_scale: float) -> float:

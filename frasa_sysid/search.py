@@ -4,6 +4,7 @@ Hansen: "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772, through the 
 """
 
 import json
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
@@ -19,6 +20,7 @@ from frasa_sysid.recording import FloatArray
 _SIGMA = 0.1  # first step size as a share of the cube: nominal values are a guess, not a coin toss
 _STALL = 12  # generations without progress after which the search has converged
 _PROGRESS = 2e-4  # relative improvement that counts as progress
+_SAVE_EVERY = 0.5  # [s] between writes of a checkpoint
 _MARGIN = 0.01  # a start on a bound is moved inside by this share
 
 Costs = Callable[[list[FloatArray]], list[float]]
@@ -90,7 +92,7 @@ def search(
         The best point seen.
     """
     optimizer, population = _optimizer(start, seed)
-    saved = _load(checkpoint, identity)
+    saved = _Checkpoint(checkpoint, identity)
     trace = Trace()
     best_x, best = np.clip(start, 0.0, 1.0), np.inf
     count, stop = 0, Stop.BUDGET
@@ -99,7 +101,7 @@ def search(
             points = [optimizer.ask() for _ in range(population)]
             # The nominal values compete in the first generation, so the fit is never worse than they are.
             asked = [np.clip(start, 0.0, 1.0), *points] if not trace.costs else points
-            known = saved[len(trace.costs)] if len(trace.costs) < len(saved) else None
+            known = saved.known(len(trace.costs))
             found = known if known is not None and len(known) == len(asked) else costs(asked)
             trace.costs.append(list(found))
             count += len(asked)
@@ -108,7 +110,7 @@ def search(
                 best, best_x = found[lowest], asked[lowest]
             trace.best.append(best)
             optimizer.tell(list(zip(points, found[-population:], strict=True)))
-            _save(checkpoint, identity, trace)
+            saved.save(trace)
             if on_generation is not None:
                 on_generation(count, best)
             if _stalled(trace.best):
@@ -118,6 +120,7 @@ def search(
         if not trace.costs:
             raise
         stop = Stop.INTERRUPTED
+    saved.save(trace, now=True)
     return SearchResult(np.asarray(best_x), float(best), count, stop, trace)
 
 
@@ -133,21 +136,39 @@ def _stalled(best: list[float]) -> bool:
     return len(best) > 2 * _STALL and best[-1] > best[-1 - _STALL] * (1.0 - _PROGRESS)
 
 
-def _save(path: Path | None, identity: str, trace: Trace) -> None:
-    if path is not None:
-        write_atomic(path, json.dumps({"identity": identity, "costs": trace.costs}))
+class _Checkpoint:
+    """Costs so far of every search that shares a file; written at most twice a second."""
+
+    def __init__(self, path: Path | None, identity: str) -> None:
+        self._path, self._identity = path, identity
+        self._searches = _load(path)
+        self._written = time.monotonic()
+
+    def known(self, generation: int) -> list[float] | None:
+        """Costs of a generation of the very same search, if an earlier run got that far."""
+        rows = self._searches.get(self._identity, [])
+        return rows[generation] if generation < len(rows) else None
+
+    def save(self, trace: Trace, now: bool = False) -> None:
+        """Keep the costs; `now` writes them whatever the time."""
+        if self._path is None or not (now or time.monotonic() - self._written > _SAVE_EVERY):
+            return
+        longer = max(trace.costs, self._searches.get(self._identity, []), key=len)
+        self._searches[self._identity] = longer
+        write_atomic(self._path, json.dumps({"searches": self._searches}))
+        self._written = time.monotonic()
 
 
-def _load(path: Path | None, identity: str) -> list[list[float]]:
-    """Costs of an earlier run of the very same search; nothing when there is none."""
+def _load(path: Path | None) -> dict[str, list[list[float]]]:
+    """Costs of earlier searches by identity; nothing when there are none."""
     if path is None or not path.is_file():
-        return []
+        return {}
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        if data["identity"] != identity:
-            return []
-        rows = [[float(cost) for cost in row] for row in data["costs"]]
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
+        found = {
+            str(identity): [[float(cost) for cost in row] for row in rows]
+            for identity, rows in json.loads(path.read_text(encoding="utf-8"))["searches"].items()
+        }
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         # A checkpoint is only a shortcut: a broken one costs time, never the result.
-        return []
-    return rows if np.isfinite(np.concatenate([np.zeros(1), *map(np.array, rows)])).all() else []
+        return {}
+    return {identity: rows for identity, rows in found.items() if np.isfinite([c for row in rows for c in row]).all()}

@@ -14,8 +14,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from frasa_sysid.errors import UsageError
 from frasa_sysid.calibration.friction import Friction
+from frasa_sysid.errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -91,6 +91,16 @@ NOMINAL: Mapping[str, Servo] = MappingProxyType(
                 # 4.9 N m stall and 7.85 rad/s at 12 V: kt = V / speed, R = kt V / stall
                 "sts3250", 0.166, 0.97, 1.529, 3.744, 0.02840336, Friction(0.05908516, 0.05239285), 12.0, 32.0,
                 "Feetech STS3250 datasheet (stall torque, no-load speed); friction, armature and firmware as sts3215",
+            ),
+            Servo(
+                # 2.45 N m stall and 6.5 rad/s (25 kg cm, 0.16 s for 60 deg) as sold; the gain is a round start
+                "miuzei", 18.0, 1.0, 0.923, 2.26, 0.01, Friction(0.02, 0.05), 6.0, 1.0,
+                "Miuzei 25 kg cm hobby servo as sold: stall torque and speed; the rest are starting values",
+            ),
+            Servo(
+                # a linear axis whose force is known: only mass [kg], damping [N s/m] and friction [N] are fitted
+                "emps", 1.0, 1.0, 1e-3, 1e-5, 60.0, Friction(100.0, 10.0), 1.0, 1.0,
+                "EMPS prismatic drive (Janot, Gautier, Brunot 2019); round starting values",
             ),
         )
     }

@@ -26,12 +26,14 @@ class ServoValues:
         offset: encoder reading with the arm hanging straight down [rad].
         stribeck ... stribeck_exponent: see `calibration.friction.Friction`.
         sag: share of the supply lost at stall, from the resistance of battery and leads.
+        rest: 1 where kp and force limit are those of the unloaded supply, as beside a sag; 0 of the median.
         follow: share of the measured changes of the supply that reach the motor.
         goal_speed: speed limit of the firmware's own goal profile [rad/s].
         punch: error [rad] that the firmware adds once there is any (error-dependent gain).
         dead_zone: error [rad] without effect, such as backlash between motor and horn.
         collapse_at: error [rad] beyond which the firmware holds back ...
         collapse_to: ... to this share of the torque.
+        loop_lag: age of the angle that the firmware's loop acts on [s].
         bias: constant torque [N m].
     """
 
@@ -53,12 +55,14 @@ class ServoValues:
     stribeck_speed: float = 1.0
     stribeck_exponent: float = 1.0
     sag: float = 0.0
+    rest: float = 0.0
     follow: float = 0.0
     goal_speed: float = NO_LIMIT
     punch: float = 0.0
     dead_zone: float = 0.0
     collapse_at: float = 100.0
     collapse_to: float = 1.0
+    loop_lag: float = 0.0
     bias: float = 0.0
 
     def array(self) -> FloatArray:

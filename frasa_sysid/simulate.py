@@ -1,7 +1,7 @@
 """A bench log from known parameters: servo, firmware, supply, encoder and bus, each with its faults.
 
-This is not the model that is fitted: friction is the law the servo was given
-(M4 for the stored logs), the voltage law is written out with back-EMF and a sagging supply, the physics runs at 5 kHz and
+This is not the model that is fitted: friction is the law the servo was given (M4 for the stored
+logs), the voltage law is written out with back-EMF and a sagging supply, the physics runs at 5 kHz and
 the firmware at 1 kHz. So a fit of these logs meets model error, as it does with a real servo.
 """
 

@@ -8,13 +8,13 @@ from typing import Any
 
 from rich.console import Console
 
+from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.commands.faults import show_faults
 from frasa_sysid.errors import LogError, UsageError
 from frasa_sysid.problem import servo_name, split, stated_servo
 from frasa_sysid.readers import read_log
-from frasa_sysid.recording import Recording
-from frasa_sysid.rig import BenchRun, runs_of
-from frasa_sysid.rollout import BenchSimulator
+from frasa_sysid.recording import Recording, Signal
+from frasa_sysid.rig import BenchRun, runs_of, segments
 from frasa_sysid.servo import Servo
 
 NOMINAL_MODEL = Path("robot_model/nominal.xml")
@@ -49,15 +49,36 @@ class Bench:
         origins = {one.origin for one in (*self.train, *self.held_out)}
         return origins.pop() if len(origins) == 1 else "mixed"
 
-    def simulator(self, model: Path, threads: int | None) -> BenchSimulator:
-        """A simulator of this servo's bench; use as a context manager."""
-        stated = self.servo.error_gain * self.servo.firmware_gain * self.servo.supply_voltage
-        return BenchSimulator(model, 1.0 / stated, threads)
+    def session(self, model: Path, threads: int | None, timestep: float | None = None) -> BenchSession:
+        """The equations and threads of this servo's bench; use as a context manager."""
+        return BenchSession(model, self.servo, threads, timestep)
 
-    def runs(self, simulator: BenchSimulator) -> tuple[list[BenchRun], list[BenchRun]]:
-        """Training and held-out runs on the simulator's grid."""
-        step = simulator.timestep
-        return runs_of(self.train, self.servo, step), runs_of(self.held_out, self.servo, step)
+    def runs(
+        self, session: BenchSession, first: float | None = None, shooting: float | None = None
+    ) -> tuple[list[BenchRun], list[BenchRun]]:
+        """Training and held-out runs on the session's grid.
+
+        Args:
+            session: its step is the grid.
+            first: seconds of each recording to use; all by default.
+            shooting: length of the pieces that each run is cut into [s]; not cut by default.
+        """
+        step = session.options.timestep
+        prepared = []
+        for recordings in (self.train, self.held_out):
+            runs = runs_of([_shortened(one, first) for one in recordings], self.servo, step)
+            prepared.append([piece for run in runs for piece in (segments(run, shooting, step) if shooting else [run])])
+        return prepared[0], prepared[1]
+
+
+def _shortened(recording: Recording, first: float | None) -> Recording:
+    """The first seconds of a recording."""
+    if first is None:
+        return recording
+    position = recording.signal("position")
+    kept = position.t <= position.t[0] + first
+    short = Signal(position.name, position.unit, position.t[kept], position.y[kept], position.columns)
+    return replace(recording, signals={**recording.signals, "position": short})
 
 
 def people_console() -> Console:

@@ -1,25 +1,34 @@
 """`frasa-sysid fit`: servo logs to numbers with intervals and verdicts, and, with --publish, into the model."""
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import mujoco
+from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from frasa_sysid import fit_file
-from frasa_sysid.calibration import SERVO_FIELDS, add_json_flag, load_model, read, say, servo_classes
+from frasa_sysid import fit_file, stored_fit
+from frasa_sysid.bench_session import BenchSession
+from frasa_sysid.bootstrap import full_bootstrap
+from frasa_sysid.calibration import add_json_flag, load_model, say, servo_classes
+from frasa_sysid.calibration.friction import LAWS
+from frasa_sysid.choice import Choice, choose
 from frasa_sysid.commands.bench import Bench, add_bench_arguments, bench_model, load_bench, people_console
-from frasa_sysid.commands.publish import publish_files
+from frasa_sysid.commands.publish import add_as_flag, publish_files
+from frasa_sysid.effects import EFFECTS
 from frasa_sysid.errors import InterruptedRunError, UsageError
-from frasa_sysid.fit import EVALUATIONS_PER_PARAMETER, FitResult, fit, simulated
-from frasa_sysid.problem import FitProblem, free_parameters
-from frasa_sysid.publish import check_replay, find_fits
+from frasa_sysid.fit import RESTARTS, FitResult, fit
+from frasa_sysid.fit_record import Extras, log_facts, to_json
+from frasa_sysid.problem import state_problem
+from frasa_sysid.publish import find_fits
+from frasa_sysid.replay import replay
 from frasa_sysid.report import write_fit_report
-from frasa_sysid.rollout import BenchSimulator
+from frasa_sysid.restarts import Tell
 from frasa_sysid.search import Stop
+from frasa_sysid.spread import Spread, spread_over
+from frasa_sysid.stand_in import stand_in
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -31,7 +40,15 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         "bench logs with CMA-ES and a least-squares finisher.",
     )
     add_bench_arguments(parser)
-    parser.add_argument("--friction", choices=("m1",), default="m1", help="friction law: m1, Coulomb-viscous")
+    parser.add_argument(
+        "--friction", choices=(*LAWS, "auto"), default="m1", help="friction law, or the one held-out runs speak for"
+    )
+    parser.add_argument(
+        "--effects",
+        default=None,
+        metavar="LIST",
+        help=f"none, auto, or of {', '.join(EFFECTS)} [auto with --friction auto, else none]",
+    )
     parser.add_argument(
         "--hold-out",
         default="none",
@@ -39,10 +56,18 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         help="none; kp=24, mass=0.969, length=0.1, trajectory=NAME; or kp, rig, trajectory for the last of each",
     )
     parser.add_argument("--optimizer", choices=("cmaes+lsq", "cmaes"), default="cmaes+lsq", help="[%(default)s]")
+    parser.add_argument("--restarts", type=int, default=RESTARTS, help="searches that must agree [%(default)s]")
+    parser.add_argument("--bootstrap", type=int, default=0, metavar="N", help="resampled logs to fit anew [0]")
+    parser.add_argument("--first", type=float, metavar="S", help="use the first S seconds of each run")
+    parser.add_argument("--shooting", type=float, metavar="S", help="cut runs into pieces of S s (diverging logs)")
+    parser.add_argument("--timestep", type=float, metavar="S", help="physics step [that of the bench model]")
+    parser.add_argument("--jobs", type=int, default=1, help="processes for folds and bootstraps [%(default)s]")
+    parser.add_argument("--cluster", metavar="ADDRESS", help="Dask scheduler to do them, such as tcp://host:8786")
     parser.add_argument("--evaluations", type=int, metavar="N", help="search budget [60 per parameter]")
     parser.add_argument("--seed", type=int, default=0, help="of the search [%(default)s]")
     parser.add_argument("--out", type=Path, metavar="FIT", help="fit file [fits/SERVO.json beside --model]")
     parser.add_argument("--publish", action="store_true", help="write calibrated.xml and randomization.yaml")
+    add_as_flag(parser)
     parser.add_argument("--no-report", action="store_true", help="leave out the HTML page")
     add_json_flag(parser)
     parser.set_defaults(run=run)
@@ -56,58 +81,136 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         QualityError: the published model does not replay the fit.
         InterruptedRunError: Ctrl-C; the best so far was saved.
     """
-    if args.evaluations is not None and args.evaluations < 1:
-        raise UsageError(f"--evaluations {args.evaluations}: expected 1 or more")
-    if not 0 <= args.seed < 2**32:
-        raise UsageError(f"--seed {args.seed}: expected 0 to 2^32 - 1")
+    effects = _checked(args)
     bench = load_bench(args, args.hold_out)
     out = args.out or args.model.parent / "fits" / f"{bench.servo.name}.json"
     if out.suffix != ".json":
         raise UsageError(f"--out {out}: expected a name that ends in .json")
     if args.publish:
         _check_publishable(args, bench, out)
-    with bench.simulator(bench_model(args), args.threads) as simulator:
-        problem = _problem(args, bench, simulator)
-        result = _fit_with_progress(args, problem, simulator, bench, out)
-        data = fit_file.to_json(result, bench.origin)
+    with (
+        bench.session(bench_model(args), args.threads, args.timestep) as session,
+        spread_over(args.jobs, args.cluster) as spread,
+    ):
+        if args.publish and not session.publishable:
+            raise UsageError("--publish needs the bench model's own step: leave --timestep out")
+        result, extras = _fit_with_progress(args, bench, session, spread, out, effects)
+        data = to_json(result, extras)
         outputs: dict[str, Any] = {"fit": out, "model": None, "ranges": None, "report": None}
         fit_file.save(out, {key: value for key, value in data.items() if key != "seconds"})
         if result.stop is not Stop.INTERRUPTED:
             _partial(out).unlink(missing_ok=True)
-        show(result)
+        show(result, extras)
         if not args.no_report:
-            outputs["report"] = write_fit_report(out.with_suffix(".html"), result, simulator)
+            outputs["report"] = write_fit_report(out.with_suffix(".html"), result, extras, session)
         if result.stop is Stop.INTERRUPTED:
             raise InterruptedRunError(
                 f"interrupted; the best of {result.evaluations} evaluations is in {out}, the same command goes on"
             )
         if args.publish:
-            outputs["model"], outputs["ranges"] = _publish(args, out, result, simulator)
+            outputs["model"], outputs["ranges"] = _publish(args, out, result, extras, session)
     _tell_outputs(outputs)
     return {**data, "outputs": outputs}
 
 
-def _problem(args: argparse.Namespace, bench: Bench, simulator: BenchSimulator) -> FitProblem:
-    train, held_out = bench.runs(simulator)
-    free = free_parameters(bench.servo, bench.nominal, train, simulator.delay_range)
-    return FitProblem(bench.servo, bench.nominal, free, tuple(train), tuple(held_out), args.hold_out, args.seed)
+def _checked(args: argparse.Namespace) -> tuple[str, ...] | None:
+    """The effects asked for, None to choose them; and no argument out of range.
+
+    Raises:
+        UsageError: what is wrong.
+    """
+    for name, least in (("evaluations", 1), ("restarts", 1), ("bootstrap", 0)):
+        value = getattr(args, name)
+        if value is not None and value < least:
+            raise UsageError(f"--{name} {value}: expected {least} or more")
+    for name in ("first", "shooting", "timestep"):
+        value = getattr(args, name)
+        if value is not None and not 0.0 < value < 1e6:
+            raise UsageError(f"--{name} {value:g}: expected seconds above 0")
+    if args.timestep is not None and not 5e-5 <= args.timestep <= 0.02:
+        raise UsageError(f"--timestep {args.timestep:g}: expected 0.00005 to 0.02 s")
+    if not 0 <= args.seed < 2**32:
+        raise UsageError(f"--seed {args.seed}: expected 0 to 2^32 - 1")
+    asked = args.effects or ("auto" if args.friction == "auto" else "none")
+    if asked in ("auto", "none"):
+        return None if asked == "auto" else ()
+    effects = tuple(dict.fromkeys(asked.split(",")))
+    unknown = [name for name in effects if name not in EFFECTS]
+    if unknown:
+        raise UsageError(f"--effects {asked}: no effect '{unknown[0]}'; expected none, auto or of {', '.join(EFFECTS)}")
+    return effects
 
 
 def _fit_with_progress(
-    args: argparse.Namespace, problem: FitProblem, simulator: BenchSimulator, bench: Bench, out: Path
-) -> FitResult:
-    budget = args.evaluations or EVALUATIONS_PER_PARAMETER * len(problem.free)
-    console = people_console()
-    name = f"{problem.servo.name}: {len(problem.train)} runs, {len(problem.free)} parameters"
+    args: argparse.Namespace,
+    bench: Bench,
+    session: BenchSession,
+    spread: Spread,
+    out: Path,
+    effects: tuple[str, ...] | None,
+) -> tuple[FitResult, Extras]:
+    train, held_out = bench.runs(session, args.first, args.shooting)
+    first_law = LAWS[0] if args.friction == "auto" else args.friction
+    problem = state_problem(
+        bench.servo,
+        bench.nominal,
+        train,
+        held_out,
+        session.delay_range,
+        args.hold_out,
+        args.seed,
+        first_law,
+        effects or (),
+    )
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[best]}"), TimeElapsedColumn())
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task(name, total=budget, best="")
+    with Progress(*columns, console=people_console()) as progress:
+        task = progress.add_task(bench.servo.name, total=None, best="")
 
         def tell(stage: str, count: int, best: float) -> None:
             text = f"{count} evaluations, best {best * 1e3:.2f} mrad"
-            progress.update(task, completed=min(count, budget), description=f"{name}, {stage}", best=text)
+            progress.update(task, description=f"{bench.servo.name}: {len(train)} runs, {stage}", best=text)
 
-        return fit(problem, simulator, bench.inputs, args.evaluations, args.optimizer, _partial(out), tell)
+        choice = None
+        if args.friction == "auto" or effects is None:
+            laws = LAWS if args.friction == "auto" else (args.friction,)
+            choice = choose(problem, session, laws, effects, spread, tell)
+            problem = choice.problem
+        known = () if choice is None else (choice.x,)
+        result = fit(
+            problem,
+            session,
+            bench.inputs,
+            args.evaluations,
+            args.optimizer,
+            _partial(out),
+            tell,
+            args.restarts,
+            known,
+        )
+        return result, _extras(args, bench, session, spread, result, choice, tell)
+
+
+def _extras(
+    args: argparse.Namespace,
+    bench: Bench,
+    session: BenchSession,
+    spread: Spread,
+    result: FitResult,
+    choice: Choice | None,
+    tell: Tell,
+) -> Extras:
+    facts = log_facts([*bench.train, *bench.held_out])
+    if result.stop is Stop.INTERRUPTED:
+        return Extras(bench.origin, choice, from_logs=facts)
+    resampled = None
+    if args.bootstrap:
+        tell(f"fitting {args.bootstrap} resampled sets of logs", result.evaluations, result.solved.cost)
+        resampled = full_bootstrap(result.problem, session, result.values, args.bootstrap, spread)
+    other = None
+    if result.friction != "m1":
+        tell("M1 in its place", result.evaluations, result.solved.cost)
+        other = stand_in(result, session)
+    return Extras(bench.origin, choice, other, resampled, args.bootstrap, facts)
 
 
 def _partial(out: Path) -> Path:
@@ -126,28 +229,25 @@ def _check_publishable(args: argparse.Namespace, bench: Bench, out: Path) -> Non
     for path in sorted(out.parent.glob("*.json")):
         if path.name == out.name or path.name.endswith(".partial.json"):
             continue
-        if fit_file.load(path).servo == bench.servo.name:
+        if stored_fit.load(path).servo == bench.servo.name:
             raise UsageError(f"--publish: {path} is a fit of {bench.servo.name} too; remove it, or give --out {path}")
 
 
-def _publish(args: argparse.Namespace, out: Path, result: FitResult, simulator: BenchSimulator) -> tuple[Path, Path]:
+def _publish(
+    args: argparse.Namespace, out: Path, result: FitResult, extras: Extras, session: BenchSession
+) -> tuple[Path, Path]:
     model_path = args.model.with_name("calibrated.xml")
-    servo = result.problem.servo.name
+    as_m1 = args.as_law == "m1" and extras.stand_in is not None
 
     def check(model: mujoco.MjModel) -> None:
-        published = replace(
-            result.problem.servo_values(result.values),
-            **{field: read(model, f"{servo}.{field}") for field in SERVO_FIELDS},
-        )
-        runs = [*result.problem.train, *result.problem.held_out]
-        worst = check_replay(simulated(result, simulator, runs), simulator.simulate(runs, [published])[0])
-        say(f"{model_path} replays the {len(runs)} runs within {worst * 1e3:.2g} mrad of the fit")
+        worst, runs = replay(model, result, extras.stand_in if as_m1 else None, session)
+        say(f"{model_path} replays the {runs} runs within {worst * 1e3:.2g} mrad of the fit")
 
-    fits = [fit_file.load(path) for path in find_fits(out.parent)]
-    return model_path, publish_files(fits, args.model, model_path, check)
+    fits = [stored_fit.load(path) for path in find_fits(out.parent)]
+    return model_path, publish_files(fits, args.model, model_path, check, args.as_law)
 
 
-def show(result: FitResult) -> None:
+def show(result: FitResult, extras: Extras) -> None:
     """Print what was found, for people."""
     console = people_console()
     table = Table(title=f"{result.problem.servo.name}, friction law {result.friction}", title_justify="left")
@@ -162,6 +262,17 @@ def show(result: FitResult) -> None:
     for one in result.evidence.estimates:
         if one.advice:
             console.print(f"  {one.name} is {one.verdict}: {one.advice}")
+    if result.problem.effects:
+        for name in result.problem.effects:
+            console.print(f"  with {name}: {EFFECTS[name].meaning}")
+    if extras.choice is not None:
+        show_choice(console, extras.choice)
+    if extras.stand_in is not None:
+        other = extras.stand_in
+        console.print(
+            f"M1 in its place (--as m1): {other.penalty.mae_rad * 1e3:.2f} mrad from it on these motions, "
+            f"loads {other.loads[0]:.2f} to {other.loads[1]:.2f} N m, up to {other.speed:.1f} rad/s"
+        )
     errors = f"mean error {result.nominal.mae_rad * 1e3:.2f} mrad nominal, {result.fitted.mae_rad * 1e3:.2f} fitted"
     if result.problem.held_out:
         errors += (
@@ -169,9 +280,27 @@ def show(result: FitResult) -> None:
             f"{result.held_out.mae_rad * 1e3:.2f} fitted"
         )
     console.print(errors)
+    if result.solved.multimodal:
+        costs = ", ".join(f"{one.cost * 1e3:.2f}" for one in result.solved.restarts if one.start.startswith("seed"))
+        console.print(f"[yellow]multimodal[/yellow]: searches ended at costs of {costs} mrad; the lowest is kept")
     console.print(
         f"{result.evaluations} evaluations, {result.seconds:.1f} s, seed {result.problem.seed}; {result.stop.value}"
     )
+
+
+def show_choice(console: Console, choice: Choice) -> None:
+    """Print how the models that were weighed compare, for people."""
+    table = Table(title="held-out errors", title_justify="left")
+    for heading in ("model", "numbers", "all runs, mrad", "held out, mrad", "p", "against"):
+        table.add_column(heading, justify="left" if heading in ("model", "against") else "right")
+    for one in (*choice.effects, *choice.laws):
+        p_value = "" if one.p_value != one.p_value else f"{one.p_value:.3f}"
+        name = " + ".join((one.law, *one.effects))
+        table.add_row(
+            name, str(one.numbers), f"{one.train * 1e3:.2f}", f"{one.held_out * 1e3:.2f}", p_value, one.against
+        )
+    console.print(table)
+    console.print(f"  {choice.reason}")
 
 
 def _tell_outputs(outputs: dict[str, Any]) -> None:
