@@ -42,10 +42,15 @@ class KernelOptions:
     Attributes:
         timestep: [s].
         creep: b of the friction constraint's reference acceleration [1/s].
+        implicit: share of a step by which damping looks ahead: 1 as MuJoCo does, 0.5 for second order.
+        early: share of a step by which a command acts before its time: a step's torque sets the speed of
+            the step's middle. MuJoCo's own delay takes no account of it, so by default neither does this.
     """
 
     timestep: float
     creep: float
+    implicit: float = 1.0
+    early: float = 0.0
 
 
 def kernel_options(model: mujoco.MjModel, timestep: float | None = None) -> KernelOptions:
@@ -74,8 +79,9 @@ def kernel_options(model: mujoco.MjModel, timestep: float | None = None) -> Kern
         raise ModelError(f"the bench model does not step the kernel's equations: {'; '.join(wrong)}")
     width = float(model.dof_solimp[0, 1])
     if timestep is not None:
-        # A step of one's own asks for physics, not for MuJoCo's: dry friction then stops the joint within a step.
-        return KernelOptions(step, 1.0 / step)
+        # A step of one's own asks for physics, not for MuJoCo's: dry friction then stops the joint within
+        # a step, and the trapezoidal rule for damping keeps the numbers from depending on the step.
+        return KernelOptions(step, 1.0 / step, 0.5, 0.5)
     # MuJoCo keeps the time constant at two steps or more (refsafe).
     return KernelOptions(step, 2.0 / (width * max(float(time_constant), 2.0 * step)))
 
@@ -171,6 +177,8 @@ class BenchKernel:
             self._rigs,
             self.options.timestep,
             self.options.creep,
+            self.options.implicit * self.options.timestep,
+            self.options.early * self.options.timestep,
             w,
             q0,
             v0,
@@ -227,6 +235,8 @@ def _fill_lanes(
     rigs: Any,  # noqa: ANN401
     h: float,
     creep: float,
+    ahead: float,
+    early: float,
     w: FloatArray,
     q0: FloatArray,
     v0: FloatArray,
@@ -236,7 +246,8 @@ def _fill_lanes(
     """Write every lane's numbers, in the rows that the kernel reads, from its candidate and its run.
 
     Records of m `candidates` and of n `rigs` (`_rigs`), `offsets` and `starts` as in `BenchKernel.readings`, pairs
-    run * m + candidate of each lane (blocks, 16), step h [s] and `creep` [1/s] give w (blocks, ROWS * 16), q0 [rad],
+    run * m + candidate of each lane (blocks, 16), step h [s], `creep` [1/s] and how far damping looks
+    `ahead` and commands act `early` [s] give w (blocks, ROWS * 16), q0 [rad],
     v0 [rad/s], `offset` [rad] and `delay` [s] (blocks, 16).
     """
     m = len(candidates)
@@ -245,7 +256,7 @@ def _fill_lanes(
             r, c = divmod(pairs[block, i], m)
             x, rig, lane = candidates[c], rigs[r], w[block, i:]
             zero = x.offset + offsets[c, r]
-            offset[block, i], delay[block, i] = zero, x.delay
+            offset[block, i], delay[block, i] = zero, x.delay + early
             q0[block, i], v0[block, i] = rig.q0 - zero + starts[c, r, 0], rig.dq0 + starts[c, r, 1]
             # Volts and torques meet no position error: nothing to track, to shift, to widen or to hold back.
             tracks = 1.0 - rig.absolute
@@ -253,7 +264,7 @@ def _fill_lanes(
             limit = x.forcerange * rig.force_scale * rest if tracks else _UNLIMITED
             stall = limit if tracks else rig.full * x.kp
             lane[k.GAIN], lane[k.LIMIT], lane[k.TRACK] = rig.gain * (x.kp if rig.has_kp else 1.0) * rest, limit, tracks
-            lane[k.PART] = x.delay / h - np.floor(x.delay / h)
+            lane[k.PART] = delay[block, i] / h - np.floor(delay[block, i] / h)
             lane[k.KEPT], lane[k.SHIFT] = 1.0 - lane[k.PART], -zero * tracks
             lane[k.GOAL_STEP] = x.goal_speed * h if x.goal_speed < 0.1 * NO_LIMIT else np.inf
             lane[k.MASS] = rig.inertia + x.armature
@@ -265,6 +276,7 @@ def _fill_lanes(
             lane[k.FADE_SHIFT] = LOG2_LOG2_E - x.stribeck_exponent * np.log2(x.stribeck_speed)
             lane[k.SAG], lane[k.BACK_EMF] = x.sag / max(stall, 1e-9) ** 2, lane[k.BACK_ON]
             lane[k.FOLLOW], lane[k.BIAS], lane[k.STEEP] = x.follow, x.bias, 1.0 / _PUNCH_WIDTH
+            lane[k.IMPLICIT] = ahead
             lane[k.LAG] = x.loop_lag * tracks
             lane[k.PUNCH], lane[k.DEAD] = x.punch * tracks, x.dead_zone * tracks
             lane[k.COLLAPSE_AT], lane[k.COLLAPSE_TO] = x.collapse_at if tracks else np.inf, x.collapse_to

@@ -1,13 +1,15 @@
 r"""What the logs say about each number: intervals, correlations, a verdict and what to record next.
 
-The Gauss-Newton sandwich, clustered by log (Huber 1967; Liang and Zeger 1986): with the
-Jacobian J_l of log l, weights W_l of the robust loss and gradients g_l = J_l^T W_l r_l,
+The cluster-robust covariance, clustered by log, in its jackknife form (CR3; Bell and McCaffrey
+2002): with the Jacobian J_l of log l, weights W_l of the robust loss and gradients
+g_l = J_l^T W_l r_l, leaving log l out moves the fit by
 
 .. math::
-    A = \sum_l J_l^T W_l J_l, \quad B = \sum_l g_l g_l^T, \quad
-    \Sigma = \frac{L}{L - 1} A^{-1} B A^{-1}
+    d_l = (A - A_l)^{-1} g_l, \quad A_l = J_l^T W_l J_l, \quad A = \sum_l A_l, \qquad
+    \Sigma = \frac{L - 1}{L} \sum_l (d_l - \bar d)(d_l - \bar d)^T
 
-Samples of one log are anything but independent, so counting them one by one would make
+With as few logs as a bench gives, the plain sandwich :math:`A^{-1} B A^{-1}` is too narrow, because
+every log has pulled the fit towards itself; the jackknife knows that. Samples of one log are anything but independent, so counting them one by one would make
 intervals several times too narrow. With few logs B cannot have full rank; then the spread of
 the residuals with one effective sample per `CORRELATION_TIME` is used where it is larger.
 Beside it stands a bootstrap over logs (`resampling`).
@@ -23,7 +25,7 @@ from frasa_sysid.bench_kernel import BenchKernel
 from frasa_sysid.cost import residuals, robust_weights
 from frasa_sysid.problem import FitProblem, FreeParameter
 from frasa_sysid.recording import FloatArray
-from frasa_sysid.resampling import Profile, one_step_bootstrap, profile_likelihoods, worst_pairs
+from frasa_sysid.resampling import Profile, leave_one_out, one_step_bootstrap, profile_likelihoods, worst_pairs
 from frasa_sysid.rig import BenchRun
 from frasa_sysid.shooting import without_starts
 
@@ -147,7 +149,8 @@ def evidence(problem: FitProblem, kernel: BenchKernel, values: FloatArray) -> Ev
     A, gradients = _normal_equations(parts, jacobians)
     spread = _residual_spread(problem.train, parts, jacobians)
     inverse, silent = _inverse(A, spread)
-    covariance = _covariance(inverse, silent, gradients, spread)
+    curvatures = [_curvature(part, jacobian) for part, jacobian in zip(parts, jacobians, strict=True)]
+    covariance = _covariance(inverse, silent, leave_one_out(A, silent, curvatures, gradients), spread)
     quantile = float(stats.t.ppf(0.975, max(len(problem.train) - 1, 1)))
     half = quantile * np.sqrt(np.diag(covariance))
     correlation = _correlation(covariance)
@@ -155,7 +158,6 @@ def evidence(problem: FitProblem, kernel: BenchKernel, values: FloatArray) -> Ev
     alone = np.minimum(half, quantile * np.sqrt(_noise(A, spread) / np.maximum(np.diag(A), 1e-300)))
     estimates = tuple(_estimate(problem, i, x, half[i], alone[i], correlation[i]) for i in range(len(problem.free)))
     spread_of_groups = _leave_out_spread(problem, x, inverse, gradients)
-    curvatures = [_curvature(part, jacobian) for part, jacobian in zip(parts, jacobians, strict=True)]
     draws = one_step_bootstrap(x, curvatures, gradients, inverse, silent, problem.seed)
     limits = np.quantile(draws, (0.025, 0.975), axis=0)
     interval = np.column_stack([problem.from_unit(limits[0]), problem.from_unit(limits[1])])
@@ -230,13 +232,11 @@ def _inverse(A: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]
     return inverse, vectors[:, ~heard] @ vectors[:, ~heard].T
 
 
-def _covariance(
-    inverse: FloatArray, silent: FloatArray, gradients: Sequence[FloatArray], spread: FloatArray
-) -> FloatArray:
-    """Sandwich by log, or the spread of residuals with few effective samples where that is larger."""
-    count = len(gradients)
-    centred = np.array(gradients) - np.mean(gradients, axis=0)
-    sandwich = inverse @ (centred.T @ centred) @ inverse * count / max(count - 1, 1)
+def _covariance(inverse: FloatArray, silent: FloatArray, steps: FloatArray, spread: FloatArray) -> FloatArray:
+    """Jackknife by log, or the spread of residuals with few effective samples where that is larger."""
+    count = len(steps)
+    centred = steps - steps.mean(axis=0)
+    sandwich = centred.T @ centred * (count - 1) / count
     residual = inverse @ spread @ inverse
     # Scale up each parameter's row and column to the larger variance; correlations come from the larger trace.
     base = sandwich if np.trace(sandwich) >= np.trace(residual) else residual

@@ -43,7 +43,8 @@ STRIBECK, LOAD_M, LOAD_E, STATIC_M, STATIC_E, QUAD_M, QUAD_E, EXPONENT, FADE_SHI
 SAG, BACK_EMF, FOLLOW, PUNCH, STEEP, DEAD, COLLAPSE_AT, COLLAPSE_TO, BIAS, LAG, GOAL_STEP = (
     LANES * row for row in range(25, 36)
 )
-ROWS = 36
+IMPLICIT = LANES * 36  # step [s] by which the damping torque looks ahead
+ROWS = 37
 _CHUNK = 128  # steps whose inputs are laid out side by side before they are simulated: they fit the first cache
 _BEYOND = 1e3  # [rad] a simulation that got here has diverged
 _NO_LIMIT = 1e3  # [rad] goal steps from here on are not limited
@@ -82,8 +83,10 @@ def _stepper(law: bool, effects: bool) -> Any:  # noqa: ANN401 (numba's function
                     asked = min(max(w[GAIN + i] * pushed, -w[LIMIT + i]), w[LIMIT + i])
                     asked = asked * (1.0 if abs(error) < w[COLLAPSE_AT + i] else w[COLLAPSE_TO + i])
                     volts = fma(w[FOLLOW + i], supply[o + i] - 1.0, 1.0)
-                    spent = fma(asked, volts, -w[BACK_EMF + i] * v)
-                    act = w[POWER + i] * asked * (volts * fma(-w[SAG + i] * asked, spent, 1.0))
+                    # The drop is resistance times current, and the current is what is left after the drop.
+                    drop = w[SAG + i] * asked
+                    volts = fma(drop, w[BACK_EMF + i] * v, volts) / fma(drop, asked, 1.0)
+                    act = w[POWER + i] * asked * volts
                 else:
                     act = w[POWER + i] * min(max(w[GAIN + i] * error, -w[LIMIT + i]), w[LIMIT + i])
                 bound = w[COULOMB + i]
@@ -185,7 +188,7 @@ def _set_power(h: float, w: FloatArray, i: int, late: float, switches: FloatArra
     w[POWER + i] = power
     w[BACK + i] = power * w[BACK_ON + i]
     w[DAMPING + i] = w[DAMPING_OFF + i] + w[BACK + i]
-    w[ADVANCE + i] = h / (w[MASS + i] + h * w[DAMPING + i])
+    w[ADVANCE + i] = h / (w[MASS + i] + w[IMPLICIT + i] * w[DAMPING + i])
     return until
 
 

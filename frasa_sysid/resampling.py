@@ -85,6 +85,28 @@ def one_step_bootstrap(
     return np.clip(points, 0.0, 1.0)
 
 
+def leave_one_out(
+    A: FloatArray, silent: FloatArray, curvatures: Sequence[FloatArray], gradients: Sequence[FloatArray]
+) -> FloatArray:
+    """How the fit moves in the unit cube when each log in turn is left out, one Gauss-Newton step, (L, n).
+
+    Args:
+        A: summed curvature, (n, n).
+        silent: projector on the directions that no log speaks of, (n, n).
+        curvatures: of each log, (n, n).
+        gradients: of each log, (n,).
+    """
+    keep = np.eye(len(A)) - silent
+    pinned = keep @ A @ keep
+    steps = []
+    for own, slope in zip(curvatures, gradients, strict=True):
+        rest = pinned - keep @ own @ keep + silent
+        # Where one log alone carries a direction nothing is left without it: then the fit's own curvature.
+        usable = np.linalg.cond(rest) < 1e14
+        steps.append(keep @ np.linalg.solve(rest if usable else pinned + silent, keep @ slope))
+    return np.array(steps)
+
+
 def worst_pairs(correlation: FloatArray, half: FloatArray) -> list[tuple[int, int]]:
     """Indices of the most correlated pairs of parameters, at most `PAIRS`, those of no use left out."""
     n = len(half)

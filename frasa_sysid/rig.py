@@ -18,6 +18,7 @@ from frasa_sysid.servo import Servo
 GRAVITY = 9.81  # [m/s^2] as in bench_pendulum.xml; a test holds the two together
 _START_WINDOW = 0.03  # [s] of data at most for the speed at the start ...
 _START_SAMPLES = 12  # ... and samples at most: at 1 kHz a step from rest is long on its way after 30 ms
+_FROM_REST = 1.6  # speed at the end of that window over the one at its start that says: it began at rest
 _STILL = 0.004  # [rad] spread within that window that still counts as standing
 _SUPPLY_SMOOTHING = 0.1  # [s] readings of a sagging supply alias with the PWM; their mean does not
 _REST = 0.2  # share of a run, that of the smallest errors, in which the supply counts as unloaded
@@ -275,6 +276,14 @@ def _starting_speed(t: FloatArray, y: FloatArray) -> float:
     """
     count = min(int(np.searchsorted(t, _START_WINDOW, side="right")), _START_SAMPLES)
     if count < 8 or np.ptp(y[:count]) < _STILL:
+        return 0.0
+    third = count // 3
+    early, late = (
+        (y[third] - y[0]) / (t[third] - t[0]),
+        (y[count - 1] - y[-third + count - 1]) / (t[count - 1] - t[count - 1 - third]),
+    )
+    if late * early >= 0.0 and abs(late) > _FROM_REST * abs(early):
+        # Nothing that moves already gets that much faster within milliseconds; what starts from rest does.
         return 0.0
     return float(np.polynomial.Polynomial.fit(t[:count], y[:count], 2).deriv()(0.0))
 
