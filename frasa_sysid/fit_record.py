@@ -1,12 +1,14 @@
 """What a fit says in plain data: the content of `robot_model/fits/<servo>.json` and of `fit --json`."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from frasa_sysid.calibration import SERVO_FIELDS
+from frasa_sysid.calibration import SERVO_FIELDS, plain, write_atomic
 from frasa_sysid.calibration.friction import FIELDS as FRICTION_FIELDS
 from frasa_sysid.choice import Choice, Trial
 from frasa_sysid.cost import Misfit
@@ -15,8 +17,7 @@ from frasa_sysid.fit import FitResult
 from frasa_sysid.recording import FloatArray, Recording
 from frasa_sysid.resampling import Profile
 from frasa_sysid.stand_in import StandIn
-
-SCHEMA = "frasa.fit/2"
+from frasa_sysid.stored_fit import SCHEMA
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,11 @@ def to_json(result: FitResult, extras: Extras) -> dict[str, Any]:
     if extras.from_logs:
         data["from_logs"] = extras.from_logs
     return data
+
+
+def save(path: Path, data: dict[str, Any]) -> None:
+    """Write a fit file, to be read by `stored_fit.load`; it replaces an older one in one move."""
+    write_atomic(path, json.dumps(plain(data), indent=2, allow_nan=False) + "\n")
 
 
 def torque_off(result: FitResult) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from frasa_sysid import fit_file
+from frasa_sysid import bam_parameters, stored_fit
 from frasa_sysid.calibration import SERVO_FIELDS, add_json_flag, calibration_id, load_model, number, read
 from frasa_sysid.calibration.friction import FIELDS as FRICTION_FIELDS
 from frasa_sysid.calibration.friction import Friction
@@ -20,7 +20,7 @@ from frasa_sysid.errors import ModelError, UsageError
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.report import Trace, write_trace_report
 from frasa_sysid.rig import BenchRun
-from frasa_sysid.servo_values import FIELDS, ServoValues
+from frasa_sysid.servo_values import FIELDS, NO_LIMIT, ServoValues
 
 SCHEMA = "frasa.compare/1"
 
@@ -48,6 +48,9 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("--fit", type=Path, action="append", default=[], help="a fit file; may be repeated")
     parser.add_argument(
         "--with-model", type=Path, action="append", default=[], metavar="M", help="a calibrated model; may be repeated"
+    )
+    parser.add_argument(
+        "--bam", type=Path, action="append", default=[], metavar="JSON", help="a BAM parameter file; may be repeated"
     )
     parser.add_argument("--report", type=Path, metavar="HTML", help="write the traces to a page")
     add_json_flag(parser)
@@ -97,6 +100,8 @@ def _candidates(args: argparse.Namespace, bench: Bench) -> list[_Candidate]:
         found.append(_of_model(_name(path, found), path, bench))
     for path in args.fit:
         found.append(_of_fit(_name(path, found), path, bench))
+    for path in args.bam:
+        found.append(_of_bam(_name(path, found), path, bench))
     return found
 
 
@@ -128,7 +133,7 @@ def _of_model(name: str, path: Path, bench: Bench) -> _Candidate:
 
 def _of_fit(name: str, path: Path, bench: Bench) -> _Candidate:
     """The numbers of a fit file, those of its law and effects included."""
-    stored = fit_file.load(path)
+    stored = stored_fit.load(path)
     if stored.servo != bench.servo.name:
         raise UsageError(f"{path} is a fit of {stored.servo}, the logs are of {bench.servo.name}")
     # A rig's own text may hold dots: only the first one parts owner and field.
@@ -146,6 +151,25 @@ def _of_fit(name: str, path: Path, bench: Bench) -> _Candidate:
     }
     stated = stored.stated["supply_voltage"], stored.stated["firmware_gain"]
     return _Candidate(name, _restated(ServoValues(**fields), *stated, bench, path), zeros)
+
+
+def _of_bam(name: str, path: Path, bench: Bench) -> _Candidate:
+    """The servo of a BAM parameter file at the bench's supply and gain; commands act at once, as in BAM."""
+    found = bam_parameters.read(path, bench.servo)
+    if found.actuator != bam_parameters.ACTUATORS.get(bench.servo.name):
+        raise UsageError(f"{path} is of {found.actuator}, the logs are of {bench.servo.name}")
+    one = found.servo
+    values = ServoValues(
+        kp=one.kp(),
+        forcerange=one.force_limit(),
+        damping=one.damping(),
+        armature=one.armature,
+        delay=0.0,
+        offset=found.offset,
+        goal_speed=NO_LIMIT if found.goal_speed is None else found.goal_speed,
+        **_law_fields(one.friction),
+    )
+    return _Candidate(name, values)
 
 
 def _law_fields(friction: Friction) -> dict[str, float]:

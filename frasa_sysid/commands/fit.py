@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from frasa_sysid import fit_file, stored_fit
+from frasa_sysid import stored_fit
 from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.bootstrap import full_bootstrap
 from frasa_sysid.calibration import add_json_flag, load_model, say, servo_classes
@@ -20,7 +20,9 @@ from frasa_sysid.commands.publish import add_as_flag, publish_files
 from frasa_sysid.effects import EFFECTS
 from frasa_sysid.errors import InterruptedRunError, UsageError
 from frasa_sysid.fit import RESTARTS, FitResult, fit
-from frasa_sysid.fit_record import Extras, log_facts, to_json
+from frasa_sysid.fit_record import Extras, log_facts, save, to_json
+from frasa_sysid.identifiability import findings, next_logs
+from frasa_sysid.inspection import motions
 from frasa_sysid.problem import state_problem
 from frasa_sysid.publish import find_fits
 from frasa_sysid.replay import replay
@@ -97,12 +99,13 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         result, extras = _fit_with_progress(args, bench, session, spread, out, effects)
         data = to_json(result, extras)
         outputs: dict[str, Any] = {"fit": out, "model": None, "ranges": None, "report": None}
-        fit_file.save(out, {key: value for key, value in data.items() if key != "seconds"})
+        save(out, {key: value for key, value in data.items() if key != "seconds"})
         if result.stop is not Stop.INTERRUPTED:
             _partial(out).unlink(missing_ok=True)
         show(result, extras)
         if not args.no_report:
-            outputs["report"] = write_fit_report(out.with_suffix(".html"), result, extras, session)
+            beforehand = next_logs(findings(motions([*bench.train, *bench.held_out])))
+            outputs["report"] = write_fit_report(out.with_suffix(".html"), result, extras, session, beforehand)
         if result.stop is Stop.INTERRUPTED:
             raise InterruptedRunError(
                 f"interrupted; the best of {result.evaluations} evaluations is in {out}, the same command goes on"

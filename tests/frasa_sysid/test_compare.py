@@ -6,13 +6,13 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from frasa_sysid import fit_file
+from frasa_sysid import stored_fit
 from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.calibration import run_command
 from frasa_sysid.commands import compare
 from frasa_sysid.cost import misfit
 from frasa_sysid.fit import fit
-from frasa_sysid.fit_record import Extras, to_json
+from frasa_sysid.fit_record import Extras, save, to_json
 from frasa_sysid.problem import state_problem, stated_servo
 from frasa_sysid.readers import read_log
 from frasa_sysid.rig import runs_of
@@ -37,7 +37,7 @@ def place(robot_model_dir, tmp_path_factory):
         result = fit(problem, session, {}, evaluations=20, restarts=1, known=(np.full(len(problem.free), 0.2),))
         assert len({run.rig for run in runs}) == 3
         (folder / "fits").mkdir()
-        fit_file.save(folder / "fits" / "mx106.json", to_json(result, Extras("simulated")))
+        save(folder / "fits" / "mx106.json", to_json(result, Extras("simulated")))
         yield folder, result, session, runs
 
 
@@ -71,7 +71,7 @@ def test_a_fit_stated_elsewhere_is_the_same_servo(place, capsys, tmp_path):
     data = json.loads((folder / "fits" / "mx106.json").read_text())
     data["stated_at"]["supply_voltage"] *= 0.5
     data["stated_at"]["firmware_gain"] *= 2.0
-    for key in fit_file.load(folder / "fits" / "mx106.json").parameters["mx106.kp"].keys() - {"unit", "verdict"}:
+    for key in stored_fit.load(folder / "fits" / "mx106.json").parameters["mx106.kp"].keys() - {"unit", "verdict"}:
         data["parameters"]["mx106.forcerange"][key] *= 0.5
     (tmp_path / "other.json").write_text(json.dumps(data))
     words = ("--model", folder / "nominal.xml", "--fit", tmp_path / "other.json")
