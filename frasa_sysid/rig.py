@@ -293,7 +293,7 @@ def segments(run: BenchRun, seconds: float, timestep: float, lead: float = 0.1) 
 
     Args:
         run: a whole recording.
-        seconds: length of a piece [s]; a rest shorter than half of it stays with the last.
+        seconds: length of a piece [s], about: all pieces of a run are equally long.
         timestep: of the grid [s].
         lead: commands kept before each start [s], for those that are still under way.
     """
@@ -316,7 +316,8 @@ def _piece(run: BenchRun, index: int, first: int, last: int, timestep: float, le
     at = np.minimum(at, padded.size - 2)
     cells = np.minimum(np.floor(t / timestep), steps - 1)
     turns = run.switches - run.t[first]
-    early = int(np.count_nonzero(turns <= 0.0))
+    # A turn is late by the command delay as well: one just before the start may still be under way.
+    early = int(np.count_nonzero(turns <= -before * timestep))
     # The segment's own first sample carries an encoder step of noise: its neighbours share it out.
     around = slice(max(first - _START_SAMPLES // 2, 0), first + _START_SAMPLES // 2 + 1)
     q0, dq0 = _local_state(run.t[around] - run.t[first], run.y[around])
