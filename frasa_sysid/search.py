@@ -153,8 +153,11 @@ class _Checkpoint:
         """Keep the costs; `now` writes them whatever the time."""
         if self._path is None or not (now or time.monotonic() - self._written > _SAVE_EVERY):
             return
-        longer = max(trace.costs, self._searches.get(self._identity, []), key=len)
-        self._searches[self._identity] = longer
+        earlier = self._searches.get(self._identity, [])
+        # What an earlier run of this very search computed beyond these generations is kept.
+        self._searches[self._identity] = trace.costs + (
+            earlier[len(trace.costs) :] if earlier[: len(trace.costs)] == trace.costs else []
+        )
         write_atomic(self._path, json.dumps({"searches": self._searches}))
         self._written = time.monotonic()
 

@@ -3,6 +3,7 @@ import json
 import numpy as np
 import pytest
 
+from frasa_sysid import search as searching
 from frasa_sysid.search import Stop, search
 
 CENTRE = np.array([0.31, 0.72, 0.05, 0.5])
@@ -28,6 +29,12 @@ def dying_after(generations, error):
         return quadratic(points)
 
     return costs
+
+
+@pytest.fixture
+def every_generation(monkeypatch):
+    """Checkpoints after every generation, not only twice a second."""
+    monkeypatch.setattr(searching, "_SAVE_EVERY", -1.0)
 
 
 def assert_same(one, two):
@@ -80,6 +87,7 @@ def test_stops_for_the_right_reason():
     assert search(lambda points: [1.0] * len(points), START, 0, 100_000).stop is Stop.CONVERGED
 
 
+@pytest.mark.usefixtures("every_generation")
 @pytest.mark.parametrize("generations", [1, 4])
 def test_resumes_exactly(tmp_path, generations):
     """A search that was killed and started again ends where the unbroken one does, without repeating its costs."""
@@ -97,6 +105,31 @@ def test_resumes_exactly(tmp_path, generations):
     assert len(computed) < unbroken.evaluations - 8 * (generations - 1)
 
 
+def test_writes_are_rationed(tmp_path, monkeypatch):
+    """A fast search does not write its checkpoint after every generation; its end is written whatever the time."""
+    written = []
+    monkeypatch.setattr(searching, "write_atomic", lambda path, text: written.append(text))
+    found = search(quadratic, START, 5, 200, tmp_path / "a.json", "me")
+    assert 1 <= len(written) < len(found.trace.costs) / 2
+    assert json.loads(written[-1])["searches"]["me"] == found.trace.costs
+
+
+@pytest.mark.usefixtures("every_generation")
+def test_several_searches_share_a_file(tmp_path):
+    """Each search finds its own costs again, those of another that was killed later included."""
+    path = tmp_path / "search.json"
+    first = search(quadratic, START, 5, 60, path, "me")
+    with pytest.raises(KilledError):
+        search(dying_after(3, KilledError()), START, 6, 60, path, "you")
+
+    assert_same(search(dying_after(0, KilledError()), START, 5, 60, path, "me"), first)
+    # Neither does a shorter search throw away what a longer one computed.
+    search(quadratic, START, 5, 20, path, "me")
+    assert_same(search(dying_after(0, KilledError()), START, 5, 60, path, "me"), first)
+    assert_same(search(dying_after(60, KilledError()), START, 6, 60, path, "you"), search(quadratic, START, 6, 60))
+    assert set(json.loads(path.read_text())["searches"]) == {"me", "you"}
+
+
 def test_a_larger_budget_goes_on(tmp_path):
     """A finished search asked for more evaluations is the one that had them from the start."""
     search(quadratic, START, 5, 40, tmp_path / "a.json", "me")
@@ -112,24 +145,28 @@ def test_a_larger_budget_goes_on(tmp_path):
         b"\xff\xfe",
         b"[]",
         b"7",
-        b'{"identity": "me"}',
-        b'{"identity": "me", "costs": 3}',
-        b'{"identity": "me", "costs": [3]}',
-        b'{"identity": "me", "costs": [["a"]]}',
-        b'{"identity": "me", "costs": [[NaN]]}',
-        b'{"identity": "me", "costs": [[1, 2], [1e999]]}',
-        b'{"identity": "me", "costs": [[1%s]]}' % (b"0" * 400),
-        b'{"identity": "me", "costs": [[0.0], [0.0]]}',
-        b'{"identity": "me", "costs": %s}' % (b"[" * 100_000),
-        json.dumps({"identity": "another", "costs": [[0.0] * 11] * 4}).encode(),
+        b'{"identity": "me", "costs": [[0.0, 0.0, 0.0]]}',
+        b'{"searches": 3}',
+        b'{"searches": []}',
+        b'{"searches": {"me": 3}}',
+        b'{"searches": {"me": [3]}}',
+        b'{"searches": {"me": [["a"]]}}',
+        b'{"searches": {"me": [[NaN]]}}',
+        b'{"searches": {"me": [[1, 2], [1e999]]}}',
+        b'{"searches": {"me": [[1%s]]}}' % (b"0" * 400),
+        b'{"searches": {"me": [[0.0], [0.0]]}}',
+        b'{"searches": {"me": [%s[0.0]]}}' % (b"[0.0], " * 1000),
+        b'{"searches": {"me": %s' % (b"[" * 100_000),
+        json.dumps({"searches": {"another": [[0.0] * 11] * 4}}).encode(),
     ],
 )
 def test_a_bad_checkpoint_costs_time_only(tmp_path, content):
     """A checkpoint that is damaged or of another search changes nothing, and is replaced."""
     path = tmp_path / "search.json"
     path.write_bytes(content)
-    assert_same(search(quadratic, START, 5, 60, path, "me"), search(quadratic, START, 5, 60))
-    assert json.loads(path.read_text())["identity"] == "me"
+    found = search(quadratic, START, 5, 60, path, "me")
+    assert_same(found, search(quadratic, START, 5, 60))
+    assert json.loads(path.read_text())["searches"]["me"] == found.trace.costs
 
 
 def test_ctrl_c_keeps_the_best():
