@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from frasa_sysid.problem import FitProblem, free_parameters, stated_servo
+from frasa_sysid.bench_session import BenchSession
+from frasa_sysid.problem import FitProblem, state_problem, stated_servo
 from frasa_sysid.recording import Recording, RigFacts, Signal
 from frasa_sysid.rig import BenchRun, runs_of
 from frasa_sysid.rollout import BenchSimulator
@@ -126,10 +127,11 @@ PLANS = [
 
 @dataclass(frozen=True)
 class BenchKit:
-    """The nominal servo, a simulator, and the way from plans to runs and problems."""
+    """The nominal servo, its bench (compiled, and as MuJoCo steps it), and the way from plans to runs and problems."""
 
     servo: Servo
     nominal: dict[str, float]
+    session: BenchSession
     simulator: BenchSimulator
     Plan: type = Plan
     truth: dict[str, float] = field(default_factory=lambda: dict(TRUTH))
@@ -137,24 +139,35 @@ class BenchKit:
         default_factory=lambda: {"chirp": chirp, "steps": steps, "drop": drop, "small": small}
     )
 
+    @property
+    def timestep(self) -> float:
+        return self.session.options.timestep
+
     def recording(self, plan: Plan, name: str = "run", noise: bool = True) -> Recording:
         return measured(plan, name, noise)
 
     def runs(self, recordings: list[Recording]) -> list[BenchRun]:
-        return runs_of(recordings, self.servo, self.simulator.timestep)
+        return runs_of(recordings, self.servo, self.timestep)
 
-    def problem(self, runs: list[BenchRun], held_out: tuple[BenchRun, ...] = (), seed: int = 0) -> FitProblem:
-        free = free_parameters(self.servo, self.nominal, runs, self.simulator.delay_range)
-        return FitProblem(self.servo, self.nominal, free, tuple(runs), held_out, "none", seed)
+    def problem(
+        self,
+        runs: list[BenchRun],
+        held_out: tuple[BenchRun, ...] = (),
+        seed: int = 0,
+        law: str = "m1",
+        effects: tuple[str, ...] = (),
+    ) -> FitProblem:
+        delays = self.session.delay_range
+        return state_problem(self.servo, self.nominal, runs, held_out, delays, "none", seed, law, effects)
 
 
 @pytest.fixture(scope="session")
 def kit(robot_model_dir: Path) -> Iterator[BenchKit]:
     """A bench kit for the mx106."""
     servo, nominal = stated_servo("mx106", robot_model_dir / "nominal.xml")
-    scale = 1.0 / (servo.error_gain * servo.firmware_gain * servo.supply_voltage)
-    with BenchSimulator(robot_model_dir / "bench_pendulum.xml", scale, threads=2) as simulator:
-        yield BenchKit(servo, nominal, simulator)
+    model = robot_model_dir / "bench_pendulum.xml"
+    with BenchSession(model, servo, threads=2) as session, session.mujoco() as simulator:
+        yield BenchKit(servo, nominal, session, simulator)
 
 
 @pytest.fixture(scope="session")

@@ -4,11 +4,55 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from frasa_sysid.cost import DIVERGED, ROBUST_WIDTH, misfit, residuals, robust_cost, robust_weights
+from frasa_sysid.cost import (
+    DIVERGED,
+    ROBUST_WIDTH,
+    misfit,
+    residuals,
+    robust_costs,
+    robust_weights,
+    rooted_residuals,
+)
 
 
 def run(name, y):
     return SimpleNamespace(name=name, y=np.asarray(y, dtype=float))
+
+
+def laid_out(parts):
+    """Readings of one candidate whose residuals are given run by run, what was measured, and where each run starts."""
+    y = np.concatenate([np.linspace(-1.0, 1.0, len(part)) for part in parts])
+    return np.concatenate(parts)[None] + y, y, np.cumsum([0, *(len(part) for part in parts)])
+
+
+def robust_cost(parts):
+    readings, y, starts = laid_out(parts)
+    costs = np.empty(1)
+    robust_costs(np.arange(1), readings, y, starts, costs)
+    return float(costs[0])
+
+
+def test_costs_of_some_of_many():
+    """A thread computes the candidates it is given, each from its own row, and no other."""
+    rng = np.random.default_rng(0)
+    y, starts = rng.normal(size=50), np.array([0, 20, 50])
+    readings = y + rng.normal(0.0, 0.01, (5, 50))
+    costs = np.full(5, -1.0)
+    robust_costs(np.array([3, 1]), readings, y, starts, costs)
+    for i in (1, 3):
+        assert costs[i] == pytest.approx(robust_cost(np.split(readings[i] - y, [20])), rel=1e-12)
+    assert (costs[[0, 2, 4]] == -1.0).all()
+
+
+@pytest.mark.parametrize("bad", [0.0, np.nan, np.inf, -np.inf, 1e300])
+def test_rooted_residuals_sum_to_the_cost(bad):
+    """Least squares minimises the same cost: signed roots, finite, whose squares sum to it times twice the width."""
+    parts = [np.array([0.3, -0.02, bad, 1e-5]), np.array([-0.004, 0.0])]
+    readings, y, starts = laid_out(parts)
+    rooted_residuals(np.arange(1), readings, y, starts)
+    assert np.isfinite(readings).all()
+    assert np.sum(readings**2) == pytest.approx(2 * ROBUST_WIDTH * robust_cost(parts), rel=1e-12)
+    np.testing.assert_array_equal(np.sign(readings[0, [0, 1, 3, 4]]), [1, -1, 1, -1])
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])

@@ -11,7 +11,7 @@ def verdicts(kit, plans, **values):
     runs = kit.runs([kit.recording(plan, f"r{i}") for i, plan in enumerate(plans)])
     problem = kit.problem(runs)
     truth = kit.truth | values
-    found = evidence(problem, kit.simulator, np.array([truth[one.field] for one in problem.free]))
+    found = evidence(problem, kit.session.kernel(problem.train), np.array([truth[one.field] for one in problem.free]))
     return {one.name.rpartition(".")[2]: one for one in found.estimates}, found, problem
 
 
@@ -26,7 +26,9 @@ def test_a_rich_set_identifies_everything(kit, recordings):
     """Chirps, steps and drops at two loads and three gains tell every number apart."""
     runs = kit.runs(recordings)
     problem = kit.problem(runs)
-    found = evidence(problem, kit.simulator, np.array([kit.truth[one.field] for one in problem.free]))
+    found = evidence(
+        problem, kit.session.kernel(problem.train), np.array([kit.truth[one.field] for one in problem.free])
+    )
     assert {one.verdict for one in found.estimates} == {"identified"}
     assert all(one.advice == "" for one in found.estimates)
     for one, (low, high) in zip(found.estimates, found.spread, strict=True):
@@ -75,7 +77,7 @@ def test_intervals_stay_inside_the_bounds(kit):
     values = np.array([kit.truth[one.field] for one in problem.free])
     place = [one.field for one in problem.free].index("delay")
     values[place] = problem.free[place].low
-    found = evidence(problem, kit.simulator, values)
+    found = evidence(problem, kit.session.kernel(problem.train), values)
     for one, free in zip(found.estimates, problem.free, strict=True):
         assert free.low <= one.low <= one.value <= one.high <= free.high
     assert found.estimates[place].verdict != "identified"

@@ -8,6 +8,7 @@ from frasa_sysid.errors import LogError, ModelError, UsageError
 from frasa_sysid.problem import servo_name, split, stated_servo
 from frasa_sysid.recording import Recording, RigFacts, Signal
 from frasa_sysid.servo import servo
+from frasa_sysid.servo_values import ServoValues
 
 T = np.arange(5) * 0.01
 POSITION = {"position": Signal("position", "rad", T, T)}
@@ -119,8 +120,14 @@ def test_the_unit_cube(kit, recordings):
     low, high = problem.from_unit(np.full(x.size, -1.0)), problem.from_unit(np.full(x.size, 2.0))
     assert (low == [one.low for one in problem.free]).all()
     np.testing.assert_allclose(high, [one.high for one in problem.free])
-    values = problem.servo_values(problem.nominal_values())
-    assert vars(values) == problem.nominal
+    values = vars(problem.servo_values(problem.nominal_values()))
+    assert {name: values[name] for name in problem.nominal} == problem.nominal
+    # What is not nominal is switched off, as in the bare servo.
+    assert values == vars(ServoValues(**problem.nominal))
+    # The kernel's rows are the same numbers.
+    points = np.random.default_rng(0).uniform(0.0, 1.0, (5, x.size))
+    for row, point in zip(problem.candidates(points), points, strict=True):
+        np.testing.assert_array_equal(row, problem.servo_values(problem.from_unit(point)).array())
 
 
 def test_what_is_free_depends_on_the_logs(kit, recordings):
@@ -128,7 +135,9 @@ def test_what_is_free_depends_on_the_logs(kit, recordings):
     runs = kit.runs(recordings[:2])
     fields = {one.field for one in kit.problem(runs).free}
     assert fields == {"kp", "damping", "frictionloss", "armature", "delay", "forcerange", "offset"}
-    volts = [replace(run, voltage_driven=True) for run in runs]
+    volts = [replace(run, control="voltage") for run in runs]
     assert {one.field for one in kit.problem(volts).free} == fields - {"forcerange", "offset"}
+    forces = [replace(run, control="force") for run in runs]
+    assert {one.field for one in kit.problem(forces).free} == {"damping", "frictionloss", "armature"}
     off = [replace(run, powered_first=False) for run in runs]
     assert {one.field for one in kit.problem(off).free} == fields | {"damping_off"}

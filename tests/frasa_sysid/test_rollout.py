@@ -4,9 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from frasa_sysid.cost import residuals, robust_cost
+from frasa_sysid.cost import misfit
 from frasa_sysid.errors import ModelError
-from frasa_sysid.rollout import BenchSimulator, ServoValues
+from frasa_sysid.rollout import BenchSimulator
+from frasa_sysid.servo_values import ServoValues
 
 
 @pytest.fixture(scope="module")
@@ -87,8 +88,12 @@ def test_nothing_to_fit_costs_nothing(kit, values, runs):
     """Logs made by the simulator itself, compared with their own truth, have no residual."""
     own = [replace(run, y=y) for run, y in zip(runs, kit.simulator.simulate(runs, [values])[0], strict=True)]
     again = kit.simulator.simulate(own, [values])[0]
-    assert robust_cost(residuals(own, again)) == 0.0
-    assert robust_cost(residuals(own, kit.simulator.simulate(own, [replace(values, damping=1.5)])[0])) > 1e-3
+    assert misfit(own, again).mae_rad == 0.0
+    assert misfit(own, kit.simulator.simulate(own, [replace(values, damping=1.5)])[0]).mae_rad > 1e-3
+    # The compiled kernel sees the very same bench.
+    kernel = kit.session.kernel(own)
+    assert kernel.costs(np.array([values.array()]))[0] < 1e-12
+    assert kernel.costs(np.array([replace(values, damping=1.5).array()]))[0] > 1e-3
 
 
 @pytest.mark.parametrize("i", [0, 5])
@@ -126,7 +131,8 @@ def test_a_diverged_run_says_so(kit, values, runs, tmp_path, monkeypatch):
         assert not bad[0]
         assert (np.diff(bad.astype(int)) >= 0).all()
         assert np.isfinite(found[1][i]).all()
-    assert np.isfinite(robust_cost(residuals(runs, found[0])))
+    assert np.isfinite(misfit(runs, found[0]).mae_rad)
+    assert np.isfinite(kit.session.kernel(runs).costs(np.array([wild.array()]))[0])
 
 
 def test_torque_off_is_a_free_pendulum(kit, values, runs):
