@@ -49,7 +49,7 @@ def shoot(problem: FitProblem, session: BenchSession, x: FloatArray) -> Shot:
         session: simulates.
         x: start, shape (n,).
     """
-    runs = problem.train
+    runs: Sequence[BenchRun] = problem.train
     kernel = session.kernel(runs)
     damping, used = 1e-6, 1
     cost = _cost(problem, kernel, x)
