@@ -21,6 +21,7 @@ from frasa_sysid.problem import FitProblem, possible, several_loads
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.restarts import Solved, Tell, point_of, solve
 from frasa_sysid.rig import BenchRun
+from frasa_sysid.search import Stop
 from frasa_sysid.spread import Spread
 
 WORTH = 0.02  # relative gain in held-out error below which a richer model is not worth its numbers
@@ -164,7 +165,7 @@ def _choose_effects(
     """Effects one by one, the most promising first, as long as the held-out error says so."""
     chosen: tuple[str, ...] = ()
     start = with_law(problem, law, chosen)
-    climbed = ladder(start, session, _needed(law), None, None, tell)
+    climbed = _whole_ladder(start, session, _needed(law), tell)
     best = climbed[law]
     used = sum(solved.evaluations for _, solved in climbed.values())
     score = _weigh(*best, session, folds, spread, tell)
@@ -197,14 +198,35 @@ def _extended(
     problem = with_law(best[0], best[0].law, effects)
     nested = [point_of(problem, best[0], best[1].x)]
     name = f"{problem.law} with {', '.join(effects)}"
-    return problem, solve(problem, session, nested=nested, tell=lambda s, c, b: tell(f"{name}, {s}", c, b))
+    solved = solve(problem, session, nested=nested, tell=lambda s, c, b: tell(f"{name}, {s}", c, b))
+    _go_on(solved)
+    return problem, solved
 
 
 def _ladder_of(
     base: FitProblem, session: BenchSession, laws: Sequence[str], tell: Tell
 ) -> dict[str, tuple[FitProblem, Solved]]:
     needed = [law for law in LAWS if law in {step for wanted in laws for step in _needed(wanted)}]
-    return ladder(base, session, needed, None, None, tell)
+    return _whole_ladder(base, session, needed, tell)
+
+
+def _whole_ladder(
+    base: FitProblem, session: BenchSession, laws: Sequence[str], tell: Tell
+) -> dict[str, tuple[FitProblem, Solved]]:
+    """All laws of a list fitted; a choice among some of them would not be the one that was asked for."""
+    found = ladder(base, session, laws, None, None, tell)
+    _go_on(*(solved for _, solved in found.values()))
+    return found
+
+
+def _go_on(*solved: Solved) -> None:
+    """End here when the user interrupted a fit.
+
+    Raises:
+        KeyboardInterrupt: the user did.
+    """
+    if any(one.stop is Stop.INTERRUPTED for one in solved):
+        raise KeyboardInterrupt
 
 
 def _needed(law: str) -> tuple[str, ...]:

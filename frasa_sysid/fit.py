@@ -16,7 +16,7 @@ from frasa_sysid.cost import Misfit, misfit
 from frasa_sysid.evidence import ON_BOUND, Evidence, evidence
 from frasa_sysid.problem import FitProblem, state_problem
 from frasa_sysid.recording import FloatArray
-from frasa_sysid.restarts import Optimizer, Solved, Tell, point_of, solve
+from frasa_sysid.restarts import Optimizer, Solved, Tell, point_of, solve, unsearched
 from frasa_sysid.rig import BenchRun
 from frasa_sysid.search import Stop
 from frasa_sysid.servo_values import ServoValues
@@ -103,8 +103,14 @@ def fit(
     """
     started = time.monotonic()
     tell = on_progress or (lambda stage, count, best: None)
-    nested = known or (climb(problem, session, evaluations, checkpoint, tell) if optimizer == "cmaes+lsq" else ())
-    solved = solve(problem, session, evaluations, optimizer, restarts, nested, checkpoint, tell)
+    nested, climbed, stop = tuple(known), 0, Stop.FINISHED
+    if not nested and optimizer == "cmaes+lsq":
+        nested, climbed, stop = climb(problem, session, evaluations, checkpoint, tell)
+    if stop is Stop.INTERRUPTED:
+        solved = unsearched(problem, session, nested)
+    else:
+        solved = solve(problem, session, evaluations, optimizer, restarts, nested, checkpoint, tell)
+    solved = replace(solved, evaluations=solved.evaluations + climbed)
     if any(run.free_start for run in problem.train) and solved.stop is not Stop.INTERRUPTED:
         tell("multiple shooting", solved.evaluations, solved.cost)
         problem, solved = _shot(problem, session, solved)
@@ -151,12 +157,21 @@ def versions() -> dict[str, str]:
 
 def climb(
     problem: FitProblem, session: BenchSession, evaluations: int | None, checkpoint: Path | None, tell: Tell
-) -> tuple[FloatArray, ...]:
-    """Solutions of the simpler laws as points of this problem's cube; the best of them first."""
+) -> tuple[tuple[FloatArray, ...], int, Stop]:
+    """The best solution of the simpler laws, if there are any, as a point of this problem's cube.
+
+    Returns:
+        No point or one, (n,); the candidates simulated; INTERRUPTED when the user stopped it.
+    """
     solutions = ladder(problem, session, _below(problem.law), evaluations, checkpoint, tell)
     points = [(solved.cost, point_of(problem, other, solved.x)) for other, solved in solutions.values()]
     last = sorted(points, key=lambda pair: pair[0])[:1]
-    return tuple(point for _, point in last)
+    interrupted = any(solved.stop is Stop.INTERRUPTED for _, solved in solutions.values())
+    return (
+        tuple(point for _, point in last),
+        sum(solved.evaluations for _, solved in solutions.values()),
+        Stop.INTERRUPTED if interrupted else Stop.FINISHED,
+    )
 
 
 def ladder(
@@ -167,13 +182,15 @@ def ladder(
     checkpoint: Path | None,
     tell: Tell,
 ) -> dict[str, tuple[FitProblem, Solved]]:
-    """Every law of a list fitted on the problem's runs with its effects, simple ones first."""
+    """Every law of a list fitted on the problem's runs with its effects, simple ones first; an interrupt ends it."""
     found: dict[str, tuple[FitProblem, Solved]] = {}
     for law in laws:
         one = with_law(problem, law, problem.effects)
         nested = [point_of(one, *_pair(found[below])) for below in _BELOW[law] if below in found]
         solved = solve(one, session, evaluations, nested=nested, checkpoint=checkpoint, tell=_named(tell, law))
         found[law] = (one, solved)
+        if solved.stop is Stop.INTERRUPTED:
+            break
     return found
 
 

@@ -101,7 +101,14 @@ def solve(
     used, stop = 0, Stop.BUDGET
     trace: tuple[float, ...] = ()
     for index in range(restarts):
-        result = _search(problem, part, budget, problem.seed + index, nested, checkpoint, identity, tell)
+        try:
+            result = _search(problem, part, budget, problem.seed + index, nested, checkpoint, identity, tell)
+        except KeyboardInterrupt:
+            # Before its first generation a search has nothing to keep; others may.
+            if not found and not nested:
+                raise
+            stop = Stop.INTERRUPTED
+            break
         used += result.evaluations
         trace = trace or tuple(result.trace.best)
         stop = result.stop if index == 0 or result.stop is Stop.INTERRUPTED else stop
@@ -115,6 +122,13 @@ def solve(
         used += more
     best = sorted(found, key=lambda one: one.cost)
     return Solved(best[0].x, best[0].cost, tuple(best), used, stop, trace)
+
+
+def unsearched(problem: FitProblem, session: BenchSession, nested: Sequence[FloatArray]) -> Solved:
+    """The best of points that are known already, (n,) each: all there is after an interrupt on the way to a search."""
+    whole = session.kernel(problem.train)
+    known = sorted((Restart("nested", x, _cost(problem, whole, x)) for x in nested), key=lambda one: one.cost)
+    return Solved(known[0].x, known[0].cost, tuple(known), len(known), Stop.INTERRUPTED, ())
 
 
 def _finished(
@@ -154,13 +168,14 @@ def _search(
         table = np.array(points)
         return [float(c) for c in kernel.costs(problem.candidates(table), problem.offsets(table, kernel.runs))]
 
+    start = _start(problem, nested)
     return search(
         costs,
-        _start(problem, nested),
+        start,
         seed,
         budget,
         checkpoint,
-        f"{identity} {seed}",
+        f"{identity} {seed} {hashlib.sha256(start.tobytes()).hexdigest()}",
         lambda count, best: tell("searching", count, best),
     )
 

@@ -90,6 +90,7 @@ def checked(path):
     assert "http:" not in page
     assert "https:" not in page
     assert "url(" not in page
+    assert "@import" not in page
     assert len(page) < 5_000_000
     return " ".join("".join(checker.texts).split())
 
