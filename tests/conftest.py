@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+import frasa_sysid  # noqa: F401 (before numpy, whose threads it keeps to one)
+
 REPO_ROOT = Path(__file__).resolve().parent.parent
 
 
