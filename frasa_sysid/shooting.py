@@ -23,6 +23,7 @@ from frasa_sysid.rig import BenchRun
 _STEP = 5e-4  # of the unit cube
 _START_STEPS = (1e-4, 1e-3)  # [rad], [rad/s] for the sensitivity to a start
 _ITERATIONS = 30
+_TRIALS = 12  # dampings for one step, each ten times the one before
 _ENOUGH = 1e-7  # relative gain in cost that ends it
 
 
@@ -54,11 +55,11 @@ def shoot(problem: FitProblem, session: BenchSession, x: FloatArray) -> Shot:
     damping, used = 1e-6, 1
     cost = _cost(problem, kernel, x)
     for _ in range(_ITERATIONS):
-        A, g, pieces = _projected(problem, kernel, x)
+        parts = _normal_equations(problem, kernel, x)
         used += x.size + 3
-        for _ in range(8):
-            step = np.clip(x - np.linalg.solve(A + damping * np.diag(np.diag(A) + 1e-300), g), 0.0, 1.0) - x
-            moved = _moved(runs, pieces, step)
+        for _ in range(_TRIALS):
+            step, changes = parts.step(x, damping)
+            moved = [_moved(run, change) for run, change in zip(runs, changes, strict=True)]
             candidate = session.kernel(moved)
             lower = _cost(problem, candidate, x + step)
             used += 1
@@ -74,6 +75,35 @@ def shoot(problem: FitProblem, session: BenchSession, x: FloatArray) -> Shot:
     return Shot(x, tuple(runs), used)
 
 
+@dataclass(frozen=True)
+class _NormalEquations:
+    """Curvatures and gradients at one point, starts and parameters apart; R runs, n parameters.
+
+    Attributes:
+        A, g: of the parameters, (n, n) and (n,).
+        H, C, b: of each run's start, (R, 2, 2), start against parameters (R, 2, n), and (R, 2); a start that is
+            not free has no curvature and no gradient.
+    """
+
+    A: FloatArray
+    g: FloatArray
+    H: FloatArray
+    C: FloatArray
+    b: FloatArray
+
+    def step(self, x: FloatArray, damping: float) -> tuple[FloatArray, FloatArray]:
+        """Levenberg-Marquardt step of the parameters, inside the cube, (n,), and of the starts, (R, 2)."""
+        # All starts have one scale: where a joint sticks at once its speed hardly shows, and a step on the scale
+        # of such a piece would be far too long.
+        scale = np.mean(np.diagonal(self.H, axis1=1, axis2=2), axis=0) + 1e-300
+        B = self.H + (damping + 1e-12) * np.diag(scale)
+        gains, ends = np.linalg.solve(B, self.C), np.linalg.solve(B, self.b[:, :, None])[:, :, 0]
+        A = self.A + damping * np.diag(np.diag(self.A) + 1e-300) - np.einsum("rki,rkj->ij", self.C, gains)
+        g = self.g - np.einsum("rki,rk->i", self.C, ends)
+        step = np.clip(x - np.linalg.solve(A, g), 0.0, 1.0) - x
+        return step, -(ends + gains @ step)
+
+
 def without_starts(
     problem: FitProblem, kernel: BenchKernel, x: FloatArray, jacobians: Sequence[FloatArray]
 ) -> list[FloatArray]:
@@ -87,26 +117,25 @@ def without_starts(
     ]
 
 
-def _projected(
-    problem: FitProblem, kernel: BenchKernel, x: FloatArray
-) -> tuple[FloatArray, FloatArray, list[tuple[FloatArray, FloatArray, FloatArray]]]:
-    """Normal equations without the starts, and for each run its residuals, Jacobian and sensitivity to the start."""
+def _normal_equations(problem: FitProblem, kernel: BenchKernel, x: FloatArray) -> _NormalEquations:
     steps = np.where(x > 0.5, -_STEP, _STEP)
     points = x + np.diag(steps)
     rows = [kernel.split(row) for row in kernel.readings(problem.candidates(points), _offsets(problem, points, kernel))]
     base, sensitivities = _sensitivities(problem, kernel, x)
-    A, g, pieces = np.zeros((x.size, x.size)), np.zeros(x.size), []
+    count, n = len(kernel.runs), x.size
+    A, g = np.zeros((n, n)), np.zeros(n)
+    H, C, b = np.zeros((count, 2, 2)), np.zeros((count, 2, n)), np.zeros((count, 2))
     for r, run in enumerate(kernel.runs):
         part = np.nan_to_num(base[r] - run.y)
         jacobian = np.column_stack([(row[r] - base[r]) / step for row, step in zip(rows, steps, strict=True)])
         weight = np.sqrt(robust_weights(part) / part.size)
         part, jacobian = part * weight, np.nan_to_num(jacobian) * weight[:, None]
-        start = sensitivities[r] * weight[:, None]
-        basis = _basis(start)
-        A += jacobian.T @ jacobian - (jacobian.T @ basis) @ (basis.T @ jacobian)
-        g += jacobian.T @ part - (jacobian.T @ basis) @ (basis.T @ part)
-        pieces.append((part, jacobian, start))
-    return A, g, pieces
+        A += jacobian.T @ jacobian
+        g += jacobian.T @ part
+        if run.free_start:
+            start = sensitivities[r] * weight[:, None]
+            H[r], C[r], b[r] = start.T @ start, start.T @ jacobian, start.T @ part
+    return _NormalEquations(A, g, H, C, b)
 
 
 def _sensitivities(
@@ -129,16 +158,11 @@ def _basis(sensitivity: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.qr(sensitivity)[0])
 
 
-def _moved(
-    runs: Sequence[BenchRun], pieces: Sequence[tuple[FloatArray, FloatArray, FloatArray]], step: FloatArray
-) -> list[BenchRun]:
-    """Runs with the starts that fit best beside a parameter step."""
-    moved = []
-    for run, (part, jacobian, start) in zip(runs, pieces, strict=True):
-        change = -np.linalg.lstsq(start, part + jacobian @ step, rcond=None)[0]
-        free = run.free_start
-        moved.append(replace(run, q0=run.q0 + float(change[0]), dq0=run.dq0 + float(change[1])) if free else run)
-    return moved
+def _moved(run: BenchRun, change: FloatArray) -> BenchRun:
+    """The run with its start moved, if it is free."""
+    if not run.free_start:
+        return run
+    return replace(run, q0=run.q0 + float(change[0]), dq0=run.dq0 + float(change[1]))
 
 
 def _offsets(problem: FitProblem, points: FloatArray, kernel: BenchKernel) -> FloatArray | None:
