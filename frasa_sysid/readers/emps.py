@@ -43,13 +43,15 @@ def read_emps(path: Path) -> list[Recording]:
             raise LogError(f"{path}: '{name}' reaches {largest:.4g}, expected metres")
     finite = t[np.isfinite(t)]
     t = t - (finite.min() if finite.size else 0.0)
+    with np.errstate(over="ignore"):  # what is beyond all numbers is left out below, and said
+        force = gains["gtau"] * columns["vir"]
     signals: dict[str, Signal] = {}
     found: list[Fault] = []
     for name, unit, values in (
         ("position", "m", columns["qm"]),
         ("goal", "m", columns["qg"]),
         ("voltage_command", "V", columns["vir"]),
-        ("force", "N", gains["gtau"] * columns["vir"]),
+        ("force", "N", force),
     ):
         signal, faults = make_signal(name, unit, t, values)
         found += faults
