@@ -21,7 +21,7 @@ _LARGEST = 50_000_000  # [bytes]
 _MOST_PARAMETERS = 1000  # every rig may have an offset of its own
 _LONGEST = 500  # characters of a text that is quoted elsewhere
 _OFFSET = re.compile(r"bench\.offset(\[.*\])?", re.DOTALL)
-_SIGNED = ("offset", "bias")
+_SIGNED = ("offset", "bias", "drag")
 NUMBERS = ("value", "low", "high", "spread_low", "spread_high")
 _OUTSIDE = {  # unit by field, of what has no place in a model
     owner: {number.field: number.unit for one in EFFECTS.values() for number in one.numbers if number.owner == owner}
