@@ -24,13 +24,14 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
+from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.calibration import SERVO_FIELDS, load_calibration, load_model, read
 from frasa_sysid.cost import misfit
-from frasa_sysid.fit_file import load
 from frasa_sysid.problem import stated_servo
 from frasa_sysid.readers import read_log
 from frasa_sysid.rig import runs_of
-from frasa_sysid.rollout import BenchSimulator, ServoValues
+from frasa_sysid.servo_values import ServoValues
+from frasa_sysid.stored_fit import load
 
 root = Path.cwd() if (Path.cwd() / "robot_model").is_dir() else Path.cwd().parent
 model_folder = root / "robot_model"
@@ -64,10 +65,9 @@ for field in SERVO_FIELDS:
     print(f"{field:>13}: {getattr(before, field):8.4g} nominal, {getattr(after, field):8.4g} calibrated")
 
 # %%
-stated = servo.error_gain * servo.firmware_gain * servo.supply_voltage
-with BenchSimulator(model_folder / "bench_pendulum.xml", 1.0 / stated) as simulator:
-    runs = runs_of(recordings, servo, simulator.timestep)
-    simulated = simulator.simulate(runs, [before, after])
+with BenchSession(model_folder / "bench_pendulum.xml", servo) as session:
+    runs = runs_of(recordings, servo, session.options.timestep)
+    simulated = session.split(session.kernel(runs), np.array([before.array(), after.array()]))
 for label, readings in zip(("nominal", "calibrated"), simulated, strict=True):
     print(f"{label:>11}: mean error {misfit(runs, readings).mae_rad * 1e3:5.1f} mrad over {len(runs)} runs")
 

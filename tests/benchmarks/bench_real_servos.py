@@ -1,7 +1,9 @@
 """Fits of real servos, with logs held out: nominal against fitted, through the command line a user types.
 
+    python tests/benchmarks/bench_real_servos.py [DATA [OPTION ...]]
+
 The logs are other people's (see the catalogue beside them) and are not part of this repository: give their folder,
-or put it at ../shared/data.
+or put it at ../shared/data. Options go to every `frasa-sysid fit`, such as `--friction auto --jobs 4`.
 """
 
 import json
@@ -13,6 +15,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT.parent / "shared" / "data"
+OPTIONS = sys.argv[2:]
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,7 @@ class Case:
     form: str
     extra: tuple[str, ...]
     rules: tuple[str, ...]
+    options: tuple[str, ...] = ()
 
 
 RIGS = ("--rig-table", "sts3215/bench_configs.csv")
@@ -48,7 +52,7 @@ def main() -> int:
         print(f"skipped: no logs at {DATA}")
         return 0
     heads = ("nominal", "fitted", "nominal", "fitted", "time")
-    print(f"{'logs':<14}{'held out':<22}{'train':>6}{'held':>6}" + "".join(f"{head:>10}" for head in heads))
+    print(f"{'logs':<14}{'held out':<22}{'train':>6}{'held':>6}" + "".join(f"{head:>10}" for head in heads) + "  model")
     print(f"{'':<48}{'train [mrad]':>20}{'held out [mrad]':>20}")
     with tempfile.TemporaryDirectory() as folder:
         for case in CASES:
@@ -58,8 +62,8 @@ def main() -> int:
             run("import", *sources, "--format", case.form, "--out", str(logs), *extra)
             for rule in case.rules:
                 out = str(Path(folder) / "fit.json")
-                data = json.loads(run("fit", str(logs), "--hold-out", rule, "--out", out, "--no-report", "--json"))
-                report(case.folder, rule, data)
+                words = ["--hold-out", rule, "--out", out, "--no-report", "--json", *case.options, *OPTIONS]
+                report(case.folder, rule, json.loads(run("fit", str(logs), *words)))
     return 0
 
 
@@ -69,7 +73,9 @@ def report(name: str, rule: str, data: dict) -> None:
     text = ["-" if cell is None else f"{cell * 1e3:.2f}" for cell in cells]
     runs = data["runs"]
     numbers = "".join(f"{cell:>10}" for cell in text)
-    print(f"{name:<14}{rule:<22}{runs['train']:>6}{runs['held_out']:>6}{numbers}{data['seconds']:>9.0f}s", flush=True)
+    counts = f"{runs['train']:>6}{runs['held_out']:>6}"
+    model = " + ".join((data["friction"], *data["effects"]))
+    print(f"{name:<14}{rule:<22}{counts}{numbers}{data['seconds']:>9.1f}s  {model}", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,3 +1,4 @@
+import html
 import json
 import os
 import shutil
@@ -6,17 +7,39 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from frasa_sysid.calibration import load_calibration, load_model, read, run_command
 from frasa_sysid.cli import build_parser
+from frasa_sysid.identifiability import findings, next_logs
+from frasa_sysid.inspection import motions
 from frasa_sysid.readers import read_log
 from frasa_sysid.recording import Signal
+from frasa_sysid.stored_fit import load
 from frasa_sysid.writer import write_mcap
 
-KEYS = {"schema", "servo", "friction", "parameters", "mujoco", "misfit", "evaluations", "seconds", "seed", "outputs"}
+KEYS = {
+    "schema",
+    "servo",
+    "friction",
+    "effects",
+    "not_in_model",
+    "parameters",
+    "mujoco",
+    "law",
+    "torque_off",
+    "profiles",
+    "misfit",
+    "restarts",
+    "multimodal",
+    "evaluations",
+    "seconds",
+    "seed",
+    "outputs",
+}
 
 
 def frasa(*words):
@@ -68,10 +91,14 @@ def test_fit_and_publish(place, capsys):
     out, err = capsys.readouterr()
     result = json.loads(out)
     assert result.keys() >= KEYS
-    assert (result["schema"], result["servo"], result["friction"], result["seed"]) == ("frasa.fit/1", "mx64", "m1", 0)
+    assert (result["schema"], result["servo"], result["friction"], result["seed"]) == ("frasa.fit/2", "mx64", "m1", 0)
+    assert (result["effects"], result["not_in_model"]) == ([], [])
+    assert [one["start"] for one in result["restarts"]].count("seed 0") == 1
+    assert len(result["restarts"]) == 3
     for one in result["parameters"].values():
-        assert one.keys() >= {"value", "unit", "low", "high", "verdict"}
+        assert one.keys() >= {"value", "unit", "low", "high", "verdict", "bootstrap_low", "bootstrap_high"}
         assert one["low"] <= one["value"] <= one["high"]
+        assert one["bootstrap_low"] <= one["value"] <= one["bootstrap_high"]
     assert set(result["mujoco"]) == {"kp", "damping", "frictionloss", "armature", "forcerange", "delay"}
     for kind in ("nominal", "fitted", "held_out"):
         assert set(result["misfit"][kind]) == {"mae_rad", "rmse_rad"}
@@ -85,13 +112,19 @@ def test_fit_and_publish(place, capsys):
     for field, value in result["mujoco"].items():
         assert read(model, f"mx64.{field}") == value
     calibration = load_calibration(paths["model"])
-    assert all(calibration.values()[name] == result["parameters"][name]["value"] for name in calibration.ranges)
+    supply = calibration.ranges["supply_voltage"]
+    seen = result["from_logs"]["supply_voltage"]
+    assert supply.low <= seen[0] <= seen[1] <= supply.high
+    fitted = calibration.ranges.keys() - {"supply_voltage"}
+    assert "mx64.kp" in fitted
+    assert all(calibration.values()[name] == result["parameters"][name]["value"] for name in fitted)
     assert (place / "robot_model" / "nominal.xml").read_bytes() == before
     assert "replays the 4 runs" in err
     assert not list(place.rglob("*.partial.json"))
     page = paths["report"].read_text()
     assert len(page) < 5_000_000
-    assert "http" not in page
+    assert "http:" not in page
+    assert "https:" not in page
 
     assert frasa("compare", place / "few.mcap", "--model", paths["model"], "--json") == 0
     compared = json.loads(capsys.readouterr().out)
@@ -114,6 +147,38 @@ def test_same_seed_same_bytes(place, capsys):
     assert made[0] == made[1] != made[2]
     assert str(place).encode() not in made[0]
     assert capsys.readouterr().out == ""
+
+
+def test_a_fit_with_everything(place, capsys):
+    """Law, effects, own step, pieces, restarts and refits, all from the command line, all told in the fit file."""
+    words = ["--friction", "m2", "--effects", "sag,punch", "--timestep", 0.001, "--first", 2.4, "--shooting", 0.8]
+    more = ["--restarts", 2, "--bootstrap", 3, "--jobs", 1, "--no-report", "--json"]
+    assert frasa(*fit_words(place, *words, *more)) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["friction"], result["effects"], result["bootstrap_draws"]) == ("m2", ["sag", "punch"], 3)
+    assert len(result["not_in_model"]) == 2
+    assert result["runs"] == {"train": 12, "held_out": 0}
+    assert sorted(one["start"] for one in result["restarts"]) == ["nested", "seed 0", "seed 1"]
+    names = {"mx64.stribeck", "mx64.stribeck_speed", "mx64.stribeck_exponent", "mx64.punch", "bench.sag"}
+    assert result["parameters"].keys() >= names
+    assert all(one["refit_low"] <= one["refit_high"] for one in result["parameters"].values())
+    assert result["as_m1"]["mujoco"].keys() == result["mujoco"].keys()
+    assert result["misfit"]["fitted"]["mae_rad"] < 0.5 * result["misfit"]["nominal"]["mae_rad"]
+    stored = load(place / "robot_model" / "fits" / "mx64.json")
+    assert (stored.friction, stored.stand_in.values) == ("m2", result["as_m1"]["mujoco"])
+
+
+def test_the_page_says_what_the_logs_lack(place, few, capsys):
+    """The page's advice holds what the recordings themselves say is missing, beside what the fit says."""
+    still = altered([one for one in few if one.rig.trajectory == "sin_sin"], torque_enable=None)
+    assert len(still) == 2
+    write_mcap(place / "still.mcap", still)
+    assert frasa(*fit_words(place, "--restarts", 1, "--json", log="still.mcap")) == 0
+    page = Path(json.loads(capsys.readouterr().out)["outputs"]["report"]).read_text()
+    advice = next_logs(findings(motions(read_log(place / "still.mcap"))))
+    assert advice
+    for one in advice:
+        assert html.escape(one, quote=False) in page or html.escape(one) in page
 
 
 def altered(few, **signals):
@@ -192,6 +257,17 @@ def test_a_file_that_is_no_log(place, capsys, content):
         (["--bench-model", "NOMINAL"], 3, "one hinge"),
         (["--out", "few.mcap/fits/a.json"], 1, "cannot use"),
         (["--out", "page.html"], 2, ".json"),
+        (["--restarts", 0], 2, "--restarts"),
+        (["--bootstrap", -1], 2, "--bootstrap"),
+        (["--jobs", 0], 2, "--jobs"),
+        (["--first", 0], 2, "--first"),
+        (["--first", "nan"], 2, "--first"),
+        (["--shooting", -1], 2, "--shooting"),
+        (["--timestep", "inf"], 2, "--timestep"),
+        (["--timestep", 0.1], 2, "--timestep"),
+        (["--publish", "--timestep", 0.001], 2, "--timestep"),
+        (["--effects", "sag,magic"], 2, "magic"),
+        (["--effects", ","], 2, "--effects"),
     ],
 )
 def test_a_bad_word_is_one_line(place, capsys, monkeypatch, words, status, complaint):
