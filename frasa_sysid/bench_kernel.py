@@ -30,7 +30,7 @@ _PUNCH_WIDTH = 2.0 * np.pi / 4096  # [rad] one count: what the firmware can see 
 _LONGEST = 0.1  # share of all threads' work that one task may have, for an even finish
 _RECORD = np.dtype([(name, np.float64) for name in FIELDS])
 _LAW = [COLUMN[name] for name in FRICTION_FIELDS[1:] if name not in ("stribeck_speed", "stribeck_exponent")]
-_NEUTRAL = {"sag": 0.0, "follow": 0.0, "punch": 0.0, "dead_zone": 0.0, "collapse_to": 1.0, "bias": 0.0, "loop_lag": 0.0}
+_NEUTRAL = {"sag": 0.0, "follow": 0.0, "punch": 0.0, "dead_zone": 0.0, "collapse_to": 1.0, "bias": 0.0, "loop_lag": 0.0, "drag": 0.0}
 _EFFECTS, _NO_EFFECTS = [COLUMN[name] for name in _NEUTRAL], np.array(list(_NEUTRAL.values()))
 _UNLIMITED = 1e6  # [N m] torque limit of volts and forces, which have none
 
@@ -277,6 +277,7 @@ def _fill_lanes(
             lane[k.SAG], lane[k.BACK_EMF] = x.sag / max(stall, 1e-9) ** 2, lane[k.BACK_ON]
             lane[k.FOLLOW], lane[k.BIAS], lane[k.STEEP] = x.follow, x.bias, 1.0 / _PUNCH_WIDTH
             lane[k.IMPLICIT] = ahead
+            lane[k.DRAG] = x.drag
             lane[k.LAG] = x.loop_lag * tracks
             lane[k.PUNCH], lane[k.DEAD] = x.punch * tracks, x.dead_zone * tracks
             lane[k.COLLAPSE_AT], lane[k.COLLAPSE_TO] = x.collapse_at if tracks else np.inf, x.collapse_to

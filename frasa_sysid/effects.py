@@ -114,6 +114,15 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(
                 "the firmware acts on an angle that is older than its loop says",
                 (Number("loop_lag", "servo", "s", _flat(0.0, 0.01, 0.0005)),),
             ),
+            Effect(
+                "drag",
+                "damping that changes with the speed (grease that thins out)",
+                (
+                    Number(
+                        "drag", "servo", "N m s^2/rad^2", lambda force, speed: (-0.003 * force, 0.003 * force, 0.0)
+                    ),
+                ),
+            ),
             Effect("offsets", "every rig has its own zero", ()),
             Effect(
                 "bias",
@@ -125,7 +134,7 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(
 )
 
 # Those the fit tries by itself, if the logs can show them at all (see `possible`).
-AUTOMATIC = ("profile", "sag", "supply", "punch", "backlash", "collapse", "loop", "offsets")
+AUTOMATIC = ("profile", "sag", "supply", "punch", "backlash", "collapse", "loop", "drag", "offsets")
 
 
 def law_numbers(law: str) -> tuple[list[Number], dict[str, str]]:

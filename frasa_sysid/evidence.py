@@ -50,6 +50,7 @@ _UNSCALED = frozenset(
         "dead_zone",
         "bias",
         "loop_lag",
+        "drag",
         "stribeck",
         "load_motor",
         "load_external",
@@ -86,6 +87,7 @@ RECORD = {
     "collapse_at": "steps of the goal of growing size, at the highest gain",
     "collapse_to": "steps of the goal of growing size, at the highest gain",
     "loop_lag": "the same fast motion (sin_time_square) at a high and a low gain",
+    "drag": "fast motion at several speeds up to the servo's own (sin_time_square, steps)",
     "bias": "the same motion in both directions",
 }
 

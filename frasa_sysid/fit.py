@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from frasa_sysid.bench_kernel import BenchKernel
 from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.cost import Misfit, misfit
@@ -23,6 +25,7 @@ from frasa_sysid.servo_values import ServoValues
 from frasa_sysid.shooting import shoot
 
 RESTARTS = 3  # searches of the final problem; they must agree
+_ALIKE = 0.05  # relative difference in cost within which another start's numbers are as good for the logs
 _UNEXCITED_LOSS = 0.005  # relative loss in cost for which an unexcited number goes back to nominal
 # Which simpler laws a law starts from.
 _BELOW = {"m1": (), "m2": ("m1",), "m3": ("m1",), "m4": ("m2", "m3"), "m5": ("m4",), "m6": ("m5",)}
@@ -117,6 +120,7 @@ def fit(
     kernel = session.kernel(problem.train)
     tell("weighing the evidence", solved.evaluations, solved.cost)
     weighed = evidence(problem, kernel, problem.from_unit(solved.x))
+    weighed = _with_restarts(problem, weighed, solved)
     values, more = _drop_unexcited(problem, kernel, problem.from_unit(solved.x), weighed)
     used = solved.evaluations + 2 * len(problem.free) + 1 + more
     nominal, fitted = misfits(problem, kernel, [None, values])
@@ -285,6 +289,21 @@ def _drop_unexcited(
         if cost(dropped) <= allowed:
             values = dropped
     return values, len(unexcited) + 1
+
+
+def _with_restarts(problem: FitProblem, weighed: Evidence, solved: Solved) -> Evidence:
+    """Intervals that hold what every other start found that fits the logs about as well.
+
+    Where the cost is rough (an arm that sticks in one place or the next) a slope at one point knows nothing of it.
+    """
+    # After multiple shooting no restart is as good: their starts are as measured.
+    alike = [solved.x, *(one.x for one in solved.restarts if one.cost <= solved.cost * (1.0 + _ALIKE))]
+    found = np.array([problem.from_unit(x) for x in alike])
+    estimates = tuple(
+        replace(one, low=min(one.low, float(column.min())), high=max(one.high, float(column.max())))
+        for one, column in zip(weighed.estimates, found.T, strict=True)
+    )
+    return replace(weighed, estimates=estimates)
 
 
 def _restated(weighed: Evidence, values: FloatArray) -> Evidence:

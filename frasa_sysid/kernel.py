@@ -44,7 +44,8 @@ SAG, BACK_EMF, FOLLOW, PUNCH, STEEP, DEAD, COLLAPSE_AT, COLLAPSE_TO, BIAS, LAG, 
     LANES * row for row in range(25, 36)
 )
 IMPLICIT = LANES * 36  # step [s] by which the damping torque looks ahead
-ROWS = 37
+DRAG = LANES * 37
+ROWS = 38
 _CHUNK = 128  # steps whose inputs are laid out side by side before they are simulated: they fit the first cache
 _BEYOND = 1e3  # [rad] a simulation that got here has diverged
 _NO_LIMIT = 1e3  # [rad] goal steps from here on are not limited
@@ -75,7 +76,7 @@ def _stepper(law: bool, effects: bool) -> Any:  # noqa: ANN401 (numba's function
                 error = fma(-w[TRACK + i], q, goal)
                 external = w[GRAVITY + i] * fast_sin(q)
                 if effects:
-                    external = external + w[BIAS + i]
+                    external = fma(-w[DRAG + i] * abs(v), v, external + w[BIAS + i])
                     # The firmware: age of its reading, dead zone, punch, duty limit, gain collapse; then the supply.
                     error = fma(w[LAG + i], v, error)
                     error = error - min(max(error, -w[DEAD + i]), w[DEAD + i])

@@ -242,7 +242,7 @@ def possible(runs: Sequence[BenchRun]) -> tuple[str, ...]:
     """Effects that these runs could show at all."""
     if any(run.absolute for run in runs):
         # No firmware at work, and no torque limit: what is left is the supply.
-        return ("sag",) if all(run.control == "voltage" for run in runs) else ()
+        return ("sag", "drag") if all(run.control == "voltage" for run in runs) else ()
     without = set()
     if all(np.all(run.supply == 1.0) for run in runs):
         without.add("supply")

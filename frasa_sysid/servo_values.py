@@ -34,6 +34,7 @@ class ServoValues:
         collapse_at: error [rad] beyond which the firmware holds back ...
         collapse_to: ... to this share of the torque.
         loop_lag: age of the angle that the firmware's loop acts on [s].
+        drag: torque that grows with the square of the speed [N m s^2/rad^2]; below zero the damping thins out.
         bias: constant torque [N m].
     """
 
@@ -63,6 +64,7 @@ class ServoValues:
     collapse_at: float = 100.0
     collapse_to: float = 1.0
     loop_lag: float = 0.0
+    drag: float = 0.0
     bias: float = 0.0
 
     def array(self) -> FloatArray:

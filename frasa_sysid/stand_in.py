@@ -46,7 +46,9 @@ def stand_in(result: FitResult, session: BenchSession) -> StandIn:
     )
     # Effects of the bench and of the firmware stay as they are; only the friction law is exchanged.
     problem = replace(with_law(replace(result.problem, train=imitated), "m1", result.problem.effects), held_out=())
-    solved = solve(problem, session)
+    known = dict(zip([one.name for one in result.problem.free], result.values, strict=True))
+    near = problem.to_unit(np.array([known.get(one.name, one.start) for one in problem.free]))
+    solved = solve(problem, session, nested=[np.clip(near, 0.0, 1.0)])
     kernel = session.kernel(imitated)
     values = problem.from_unit(solved.x)
     rows = kernel.readings(exact_candidate(problem, values)[None], problem.offsets(solved.x[None], imitated))
@@ -76,5 +78,6 @@ def without_effects(values: ServoValues) -> ServoValues:
         collapse_at=100.0,
         collapse_to=1.0,
         bias=0.0,
+        drag=0.0,
         loop_lag=0.0,
     )

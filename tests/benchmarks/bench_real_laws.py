@@ -47,9 +47,9 @@ CASES = {
     "xl330": Case("xl330", "bam", "xl330", ("kp=400", "trajectory=sin_sin"), ("sag", "supply")),
     "xl330_none": Case("xl330", "bam", "xl330", ("kp=400",)),
     "sts3250": Case("sts3250_bam", "bam", "sts3250", ("trajectory=sin_sin", "trajectory=up_and_down")),
-    "dynaban": Case("mx64_dynaban", "dynaban", "mx64", ("none", "trajectory=steps"), ("sag",), "completeTest.gz"),
+    "dynaban": Case("mx64_dynaban", "dynaban", "mx64", ("none", "trajectory=steps"), ("drag",), "completeTest.gz"),
     "dynaban_150ms": Case(
-        "mx64_dynaban", "dynaban", "mx64", ("none", "trajectory=steps"), ("sag",), "completeTest.gz", 0.15
+        "mx64_dynaban", "dynaban", "mx64", ("none", "trajectory=steps"), ("drag",), "completeTest.gz", 0.15
     ),
     "jandi": Case("mx106_jandi", "jandi", "mx106", ("trajectory=triangle",)),
     "miuzei": Case(
