@@ -124,7 +124,7 @@ def test_starts_are_found_too(known, session, pieces):
 
 
 def measured_start(piece):
-    """Angle and speed at the start of a piece as a cubic through its own samples says, itself no better than 0.03 rad/s."""
+    """Angle and speed at the start of a piece as a cubic through its samples says, to some 0.03 rad/s."""
     near = piece.t < 0.06
     line = np.polynomial.Polynomial.fit(piece.t[near], piece.y[near], 3)
     return float(line(0.0)), float(line.deriv()(0.0))
