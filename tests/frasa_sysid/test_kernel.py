@@ -42,6 +42,7 @@ def random_run(rng, seconds=6.0, control="position", turns=3):
         switches=switches, powered_first=bool(rng.random() < 0.8),
         q0=float(rng.uniform(-1.0, 1.0)), dq0=float(rng.choice([0.0, rng.uniform(-3.0, 3.0)])),
         t=t, y=np.interp(t, at, command), step=cells, weight=t / STEP - cells,
+        rest=1.05 if control == "position" else 1.0,
     )  # fmt: skip
 
 
@@ -74,7 +75,8 @@ def random_values(rng, law="m1", effects=False):
         values = replace(
             values, sag=rng.uniform(0.0, 0.5), follow=rng.uniform(0.0, 1.5), punch=rng.uniform(0.0, 0.02),
             dead_zone=rng.uniform(0.0, 0.03), collapse_at=rng.uniform(0.05, 0.6), collapse_to=rng.uniform(0.3, 1.0),
-            bias=rng.uniform(-0.3, 0.3),
+            bias=rng.uniform(-0.3, 0.3), drag=rng.uniform(-0.01, 0.02), loop_lag=rng.uniform(0.0, 0.01),
+            rest=float(rng.integers(0, 2)),
         )  # fmt: skip
     return ServoValues(**{one.name: float(getattr(values, one.name)) for one in fields(values)})
 
@@ -97,6 +99,8 @@ class Scalar:
         free = run.control == "position"
         gain = {"position": x.kp * run.kp_scale, "voltage": x.kp * self.volt_scale, "force": 1.0}[run.control]
         limit = x.forcerange * run.force_scale if free else math.inf
+        rest = 1.0 + x.rest * (run.rest - 1.0)
+        gain, limit = gain * rest, limit * rest
         stall = limit if free else self.supply * gain
         emf, mass = x.damping - x.damping_off, run.inertia + x.armature
         q, v = run.q0 - x.offset, run.dq0
@@ -105,16 +109,14 @@ class Scalar:
             power = self.power(run, x.delay, k)
             asked = gain * goals[k]
             if free:
-                error = goals[k] - x.offset - q
+                error = goals[k] - x.offset - (q - x.loop_lag * v)
                 error = math.copysign(max(abs(error) - x.dead_zone, 0.0), error)
                 held_back = x.collapse_to if abs(error) >= x.collapse_at else 1.0
                 asked = gain * (error + x.punch * min(max(error / COUNT, -1.0), 1.0))
                 asked = min(max(asked, -limit), limit) * held_back
             volts = 1.0 + x.follow * (run.supply[k] - 1.0)
-            # A share `sag` of the supply is lost when the motor draws all it can: power drawn over that at stall.
-            drawn = asked * (asked * volts - emf * v) / stall**2
-            torque = power * asked * volts * (1.0 - x.sag * drawn)
-            external = x.bias - run.gravity_torque * math.sin(q)
+            torque = power * asked * self.left_of(volts, x.sag, asked, emf * v, stall)
+            external = x.bias - x.drag * abs(v) * v - run.gravity_torque * math.sin(q)
             damping = x.damping_off + power * emf
             bound = self.bound(x, torque - power * emf * v, external, v)
             smooth = torque + external - damping * v
@@ -123,6 +125,15 @@ class Scalar:
             q += STEP * v
             angles.append(q)
         return np.interp(run.t, np.arange(run.steps + 1) * STEP, angles) + x.offset
+
+    @staticmethod
+    def left_of(supply, sag, asked, emf, stall):
+        """The supply under load: a share `sag` of it is lost when the motor draws all it can, at stall."""
+        volts, before = supply, math.inf
+        while abs(volts - before) > 1e-15:  # the current follows the voltage, and the voltage the current
+            before = volts
+            volts = supply - sag * asked * (asked * volts - emf) / stall**2
+        return volts
 
     @staticmethod
     def goals(run, x):
@@ -240,7 +251,7 @@ def test_it_moves_as_the_written_out_equations_do(session, law, effects):
 @pytest.mark.parametrize(
     "change",
     [{"sag": 0.3}, {"follow": 1.0}, {"punch": 0.01}, {"dead_zone": 0.02}, {"collapse_at": 0.1, "collapse_to": 0.5},
-     {"bias": 0.1}, {"goal_speed": 1.0}],
+     {"bias": 0.1}, {"goal_speed": 1.0}, {"drag": 0.02}, {"loop_lag": 0.005}, {"rest": 1.0}],
 )  # fmt: skip
 def test_one_effect_alone_is_felt(session, change):
     """Each switches its own loop on, and moves the joint as written out."""
