@@ -30,7 +30,16 @@ _PUNCH_WIDTH = 2.0 * np.pi / 4096  # [rad] one count: what the firmware can see 
 _LONGEST = 0.1  # share of all threads' work that one task may have, for an even finish
 _RECORD = np.dtype([(name, np.float64) for name in FIELDS])
 _LAW = [COLUMN[name] for name in FRICTION_FIELDS[1:] if name not in ("stribeck_speed", "stribeck_exponent")]
-_NEUTRAL = {"sag": 0.0, "follow": 0.0, "punch": 0.0, "dead_zone": 0.0, "collapse_to": 1.0, "bias": 0.0, "loop_lag": 0.0, "drag": 0.0}
+_NEUTRAL = {
+    "sag": 0.0,
+    "follow": 0.0,
+    "punch": 0.0,
+    "dead_zone": 0.0,
+    "collapse_to": 1.0,
+    "bias": 0.0,
+    "loop_lag": 0.0,
+    "drag": 0.0,
+}
 _EFFECTS, _NO_EFFECTS = [COLUMN[name] for name in _NEUTRAL], np.array(list(_NEUTRAL.values()))
 _UNLIMITED = 1e6  # [N m] torque limit of volts and forces, which have none
 

@@ -117,11 +117,7 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(
             Effect(
                 "drag",
                 "damping that changes with the speed (grease that thins out)",
-                (
-                    Number(
-                        "drag", "servo", "N m s^2/rad^2", lambda force, speed: (-0.003 * force, 0.003 * force, 0.0)
-                    ),
-                ),
+                (Number("drag", "servo", "N m s^2/rad^2", lambda force, speed: (-0.003 * force, 0.003 * force, 0.0)),),
             ),
             Effect("offsets", "every rig has its own zero", ()),
             Effect(

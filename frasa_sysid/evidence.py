@@ -9,9 +9,10 @@ g_l = J_l^T W_l r_l, leaving log l out moves the fit by
     \Sigma = \frac{L - 1}{L} \sum_l (d_l - \bar d)(d_l - \bar d)^T
 
 With as few logs as a bench gives, the plain sandwich :math:`A^{-1} B A^{-1}` is too narrow, because
-every log has pulled the fit towards itself; the jackknife knows that. Samples of one log are anything but independent, so counting them one by one would make
-intervals several times too narrow. With few logs B cannot have full rank; then the spread of
-the residuals with one effective sample per `CORRELATION_TIME` is used where it is larger.
+every log has pulled the fit towards itself; the jackknife knows that. Samples of one log are
+anything but independent, so counting them one by one would make intervals several times too narrow.
+With few logs B cannot have full rank; then the spread of the residuals with one effective sample
+per `CORRELATION_TIME` is used where it is larger.
 Beside it stands a bootstrap over logs (`resampling`).
 """
 

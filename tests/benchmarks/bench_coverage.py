@@ -49,7 +49,11 @@ def random_bench(seed: int) -> tuple[Servo, Bench, str]:
         share = near(0.12, 0.5)
         extra |= {"load_motor_stribeck": share, "load_external_stribeck": share}
     one = replace(
-        base, kt=near(base.kt), R=near(base.R), armature=near(base.armature), friction=Friction(viscous, coulomb, **extra)
+        base,
+        kt=near(base.kt),
+        R=near(base.R),
+        armature=near(base.armature),
+        friction=Friction(viscous, coulomb, **extra),
     )
     scale = one.force_limit() / base.force_limit()
     bench = Bench(

@@ -105,8 +105,9 @@ def one_table(name: str, case: Case, rule: str, recordings: list) -> None:
         found = ladder(problem, session, LAWS, None, None, lambda *_: None)
         seconds = time.perf_counter() - started
         first = f", first {case.first} s" if case.first else ""
-        print(f"\n{name}: {len(runs)} runs, {len(out)} held out by {rule}{first}, with {', '.join(case.effects) or 'no effect'}"
-              f"; six laws in {seconds:.1f} s")  # fmt: skip
+        effects = ", ".join(case.effects) or "no effect"
+        print(f"\n{name}: {len(runs)} runs, {len(out)} held out by {rule}{first}, with {effects}; "
+              f"six laws in {seconds:.1f} s")  # fmt: skip
         nominal_fit = misfits(problem, session.kernel(runs), [None])[0]
         print(f"  nominal: train {nominal_fit.mae_rad * 1e3:.2f} (rms {nominal_fit.rmse_rad * 1e3:.2f})", end="")
         print(f", held out {mean(misfits(problem, session.kernel(out), [None])[0])}" if out else "")
