@@ -71,7 +71,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     args.out.mkdir(parents=True, exist_ok=True)
     for servo in SERVOS:
         log = f"bench_logs/{servo}.mcap"
-        demo.run(f"Fit the {servo} and publish", servo, "frasa-sysid", "fit", log, "--publish")
+        flags = ("--friction", "auto", "--effects", "none", "--publish")
+        demo.run(f"Choose the {servo}'s friction law, fit and publish", servo, "frasa-sysid", "fit", log, *flags)
     budget = ("--minutes", f"{args.minutes:g}")
     demo.run(
         f"Train for {args.minutes:g} minutes", "train", "frasa-rl", "train",

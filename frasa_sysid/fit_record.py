@@ -150,8 +150,9 @@ def _parameters(result: FitResult, extras: Extras) -> dict[str, dict[str, Any]]:
             "high": one.high,
             "verdict": one.verdict,
             "nominal": one.nominal,
-            "spread_low": float(min(low, one.value)),
-            "spread_high": float(max(high, one.value)),
+            # What leaving out a rig and gain changes, and what drawing the logs anew does: ranges rest on both.
+            "spread_low": float(min(low, step[0], one.value)),
+            "spread_high": float(max(high, step[1], one.value)),
             "bootstrap_low": float(min(step[0], one.value)),
             "bootstrap_high": float(max(step[1], one.value)),
             **({} if refit is None else {"refit_low": float(refit[0]), "refit_high": float(refit[1])}),

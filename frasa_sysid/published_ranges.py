@@ -1,4 +1,4 @@
-"""Ranges of what was fitted: the 95 % interval, the spread over rigs and gains, and a stated floor, joined."""
+"""Ranges of what was fitted: the 95 % interval, the spread over rigs, gains and resampled logs, and a stated floor."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -50,7 +50,7 @@ def _range(stored: StoredFit, name: str, one: dict[str, Any], room: float) -> Ra
     floor_text = f"{FLOOR_DELAY * 1e3:g} ms" if field == "delay" else f"{FLOOR_RELATIVE:.0%}"
     origin = (
         f"fit {stored.sha256[:12]} of {stored.origin} logs, {one['verdict']}: 95 % interval by log, joined with the "
-        f"spread when any rig and gain is left out, at least +-{floor_text}"
+        f"spread when any rig and gain is left out and over resampled logs, at least +-{floor_text}"
     )
     if field == "delay":
         if stored.delay_jitter is not None:
