@@ -42,8 +42,8 @@ def read_emps(path: Path) -> list[Recording]:
         if largest > FARTHEST:
             raise LogError(f"{path}: '{name}' reaches {largest:.4g}, expected metres")
     finite = t[np.isfinite(t)]
-    t = t - (finite.min() if finite.size else 0.0)
     with np.errstate(over="ignore"):  # what is beyond all numbers is left out below, and said
+        t = t - (finite.min() if finite.size else 0.0)
         force = gains["gtau"] * columns["vir"]
     signals: dict[str, Signal] = {}
     found: list[Fault] = []

@@ -125,6 +125,48 @@ def test_files_that_are_no_matlab_5(tmp_path):
             read_emps(tmp_path / "a.mat")
 
 
+@pytest.mark.parametrize("packed", [True, False])
+def test_arrays_of_all_kinds_of_numbers(tmp_path, packed):
+    """What SciPy writes is read exactly: singles, integers, matrices by columns, and beside things of other kinds."""
+    rng = np.random.default_rng(0)
+    written = {
+        "matrix": rng.normal(size=(3, 5)),
+        "cube": rng.normal(size=(2, 3, 4)),
+        "single": rng.normal(size=(7, 1)).astype(np.float32),
+        "few": np.array([[1, 2, 3]], np.uint8),
+        "whole": np.array([[-(2**40)], [2**40]]),
+        "a_name_that_is_rather_long": np.array([[1.5]]),
+        "none": np.zeros((0, 1)),
+    }
+    others = {
+        "text": "words",
+        "struct": {"a": 1.0},
+        "cells": np.array([[1.0, "a"]], dtype=object),
+        "wave": np.ones(2) * 1j,
+    }
+    scipy.io.savemat(tmp_path / "a.mat", others | written, do_compression=packed)
+    for name, values in matlab.read_matlab(tmp_path / "a.mat", list(written)).items():
+        np.testing.assert_array_equal(values, written[name])
+    for name in others:
+        with pytest.raises(LogError, match=f"'{name}' is not an array of real numbers"):
+            matlab.read_matlab(tmp_path / "a.mat", [name])
+
+
+@pytest.mark.parametrize("i", range(8))
+@pytest.mark.parametrize("value", [0, 1, 2, 4, 5, 6, 8, 9, 14, 15, 17, 127, 255])
+def test_wrong_types_and_sizes(tmp_path, i, value):
+    """A byte of an array's tag, flags, size or name that is another is at most an error: it never ends the process."""
+    data = content(packed=False)
+    for place in (128 + i, 136 + i, 144 + i, 152 + i, 160 + i, 168 + i, 176 + i):
+        altered = bytearray(data)
+        altered[place] = value
+        (tmp_path / "a.mat").write_bytes(altered)
+        try:
+            read_emps(tmp_path / "a.mat")
+        except LogError:
+            continue
+
+
 def test_a_bomb_is_not_unpacked(tmp_path, monkeypatch):
     """A variable that unpacks to more than the limit is refused before it is."""
     monkeypatch.setattr(matlab, "LIMIT", 10_000)
