@@ -9,6 +9,7 @@ import argparse
 import os
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -20,12 +21,15 @@ from peers import Bench, Measured, bam_numpy, mujoco_rollout, mujoco_sysid, time
 from frasa_sysid.bench_kernel import BenchKernel
 from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.calibration.friction import LAWS
+from frasa_sysid.choice import choose
 from frasa_sysid.cost import misfit
-from frasa_sysid.problem import stated_servo
+from frasa_sysid.fit import fit, ladder
+from frasa_sysid.problem import FitProblem, state_problem, stated_servo
 from frasa_sysid.readers import read_log
 from frasa_sysid.rig import BenchRun, runs_of
 from frasa_sysid.rollout import BenchSimulator
 from frasa_sysid.servo_values import COLUMN, ServoValues
+from frasa_sysid.spread import Spread
 
 MODEL = ROOT / "robot_model" / "bench_pendulum.xml"
 THREADS = (1, 2)
@@ -160,6 +164,31 @@ def fits(bench: Bench) -> None:
         print("   " + ", ".join(f"{key} {value:.4g}" for key, value in done.values.items()), flush=True)
 
 
+def our_fits(bench: Bench) -> None:
+    """Time to our converged fits, and to the choice among all six laws by held-out runs."""
+    print(f"\n{'our fits, ' + str(max(THREADS)) + ' threads':<40}{'evaluations':>12}{'time':>9}{'fitted':>14}")
+    quiet = lambda *_: None  # noqa: E731
+    with BenchSession(bench.model_path, bench.servo, max(THREADS)) as session:
+        limits = session.delay_range
+
+        def stated(law: str) -> FitProblem:
+            return state_problem(bench.servo, bench.nominal, bench.runs, (), limits, "none", 0, law)
+
+        for law in ("m1", "m4", "m6"):
+            started = time.perf_counter()
+            done = fit(stated(law), session, {})
+            print(f"{law + ', 3 searches, evidence':<40}{done.evaluations:>12}{time.perf_counter() - started:>7.1f} s"
+                  f"{done.fitted.mae_rad * 1e3:>9.2f} mrad", flush=True)  # fmt: skip
+        started = time.perf_counter()
+        found = ladder(stated("m1"), session, LAWS, None, None, quiet)
+        used = sum(solved.evaluations for _, solved in found.values())
+        print(f"{'all six laws':<40}{used:>12}{time.perf_counter() - started:>7.1f} s", flush=True)
+        started = time.perf_counter()
+        chosen = choose(stated("m1"), session, LAWS, (), Spread(), quiet)
+        print(f"{'all six laws, held-out folds, choice':<40}{'':>12}{time.perf_counter() - started:>7.1f} s"
+              f"  takes {chosen.problem.law}", flush=True)  # fmt: skip
+
+
 def scaling(bench: Bench) -> None:
     backends: dict[str, Backend] = {"ours": ours, "BAM in numpy": numpy_bam, "MuJoCo rollout": mujoco}
     values = [ServoValues(**bench.nominal)]
@@ -172,9 +201,9 @@ def scaling(bench: Bench) -> None:
                 with backend(bench, threads) as simulate:
                     if simulate is None:
                         continue
-                    time = timed(lambda: simulate(runs, values), least=3 if count < 960 else 1).fastest  # noqa: B023
-                each = time / sum(float(one.t[-1]) for one in runs)
-                cells.append(f"{time * 1e3:>9.2f} ms{each * 1e6:>9.2f} us/s")
+                    cost = timed(lambda: simulate(runs, values), least=3 if count < 960 else 1).fastest  # noqa: B023
+                each = cost / sum(float(one.t[-1]) for one in runs)
+                cells.append(f"{cost * 1e3:>9.2f} ms{each * 1e6:>9.2f} us/s")
             if cells:
                 print(f"{name:<22}{threads:>5}" + "".join(f"{cell:>27}" for cell in cells), flush=True)
     print("The fastest of a few; us/s is microseconds per second of log. Logs beyond those there are repeat.")
@@ -189,6 +218,7 @@ def main() -> int:
     print(f"{name}: {len(bench.runs)} logs, {bench.seconds:.0f} s of log; {os.cpu_count()} cores, "
           f"load before the start {os.getloadavg()[0]:.1f}")  # fmt: skip
     costs(bench)
+    our_fits(bench)
     scaling(bench)
     if not given.no_fit:
         fits(bench)

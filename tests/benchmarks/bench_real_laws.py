@@ -58,7 +58,7 @@ CASES = {
         "miuzei",
         ("trajectory=prbs",),
         (),
-        "response.json",
+        "response.json.gz",
         None,
         (("mass", 0.3), ("length", 0.1), ("supply_voltage", 6.0)),
     ),
@@ -125,7 +125,9 @@ def one_table(name: str, case: Case, rule: str, recordings: list) -> None:
 def mean(errors: Misfit) -> str:
     """Mean absolute error over runs with the 95 % interval of that mean [mrad]."""
     runs = np.array(list(errors.by_run.values())) * 1e3
-    half = stats.t.ppf(0.975, max(len(runs) - 1, 1)) * runs.std(ddof=1) / np.sqrt(len(runs)) if len(runs) > 1 else 0.0
+    if len(runs) < 2:
+        return f"{runs.mean():.2f} (one run)"
+    half = stats.t.ppf(0.975, len(runs) - 1) * runs.std(ddof=1) / np.sqrt(len(runs))
     return f"{runs.mean():.2f} +- {half:.2f}"
 
 
