@@ -4,6 +4,7 @@ Results come back in the order of the tasks and depend on nothing but the task, 
 the same for any number of workers.
 """
 
+import gc
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeVar
@@ -72,4 +73,8 @@ def _client(address: str) -> Any:  # noqa: ANN401 (the package is optional)
         connect: Any = Client  # it carries no types
         return connect(address, timeout="10s")
     except (OSError, ValueError) as error:
-        raise UsageError(f"--cluster {address}: no Dask scheduler answers there ({error})") from None
+        why = str(error)
+    # The client that found nobody closes itself when it is collected. Should that happen while another
+    # client starts, it would wait for a lock that its own thread holds: so it is collected here.
+    gc.collect()
+    raise UsageError(f"--cluster {address}: no Dask scheduler answers there ({why})")
