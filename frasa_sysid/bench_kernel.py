@@ -7,7 +7,6 @@ fills in numbers. Results do not depend on the number of threads: every lane is 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any
 
 import mujoco
@@ -27,7 +26,7 @@ from frasa_sysid.rollout import drive_gain
 from frasa_sysid.servo_values import COLUMN, FIELDS, NO_LIMIT
 
 _PUNCH_WIDTH = 2.0 * np.pi / 4096  # [rad] one count: what the firmware can see as an error at all
-_LONGEST = 0.1  # share of all threads' work that one task may have, for an even finish
+_PARTS = 2  # pieces of work for each thread, for an even finish
 _RECORD = np.dtype([(name, np.float64) for name in FIELDS])
 _LAW = [COLUMN[name] for name in FRICTION_FIELDS[1:] if name not in ("stribeck_speed", "stribeck_exponent")]
 _NEUTRAL = {
@@ -96,7 +95,7 @@ def kernel_options(model: mujoco.MjModel, timestep: float | None = None) -> Kern
 
 
 class BenchKernel:
-    """Simulates a set of bench runs; use as a context manager, it owns threads.
+    """Simulates a set of bench runs.
 
     Args:
         runs: n prepared recordings, on the grid of `options.timestep`.
@@ -136,14 +135,6 @@ class BenchKernel:
             self._samples,
         )
         self._y = np.concatenate([run.y for run in runs])
-
-    def __enter__(self) -> "BenchKernel":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Nothing is held; the pool belongs to whoever made it."""
 
     @property
     def steps(self) -> int:
@@ -231,7 +222,7 @@ class BenchKernel:
         if self._threads == 1 or count == 1:
             work(np.arange(count))
             return
-        parts = min(count, max(self._threads, round(self._threads / _LONGEST / 5)))
+        parts = min(count, _PARTS * self._threads)
         list(self._pool.map(work, [np.arange(i, count, parts) for i in range(parts)]))
 
 

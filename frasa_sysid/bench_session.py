@@ -3,6 +3,7 @@
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -22,7 +23,11 @@ class BenchSession:
         model_path: `robot_model/bench_pendulum.xml`.
         servo: with supply and gain at which kp is stated.
         threads: worker threads; by default one per core.
-        timestep: another step [s] than the model's.
+        timestep: a step of its own [s] in place of the model's.
+
+    Attributes:
+        options: of the kernel.
+        publishable: whether the kernel steps what MuJoCo does, so that MuJoCo can replay the fit.
     """
 
     def __init__(
@@ -30,9 +35,11 @@ class BenchSession:
     ) -> None:
         self.model_path, self.servo = model_path, servo
         self.threads = threads or len(os.sched_getaffinity(0))
-        self.options: KernelOptions = kernel_options(load_model(model_path), timestep)
+        model = load_model(model_path)
+        self.options: KernelOptions = kernel_options(model, timestep)
+        # A step of one's own means other equations, also where the step happens to be the model's.
+        self.publishable = timestep is None
         self._pool = ThreadPoolExecutor(self.threads)
-        self._model_step = float(load_model(model_path).opt.timestep)
 
     def __enter__(self) -> "BenchSession":
         return self
@@ -44,11 +51,11 @@ class BenchSession:
 
     def __getstate__(self) -> dict[str, Any]:
         """What another process needs to make its own; one thread there, as there are many of them."""
-        return {"model_path": self.model_path, "servo": self.servo, "options": self.options, "step": self._model_step}
+        kept = ("model_path", "servo", "options", "publishable")
+        return {name: getattr(self, name) for name in kept}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.model_path, self.servo, self.options = state["model_path"], state["servo"], state["options"]
-        self._model_step = state["step"]
+        self.__dict__.update(state)
         self.threads = 1
         self._pool = ThreadPoolExecutor(1)
 
@@ -57,7 +64,7 @@ class BenchSession:
         """Torque per volt [N m/V] for each N m/rad of kp."""
         return 1.0 / (self.servo.error_gain * self.servo.firmware_gain * self.servo.supply_voltage)
 
-    @property
+    @cached_property
     def delay_range(self) -> tuple[float, float]:
         """Shortest and longest command delay that the bench model tells apart [s]; see `BenchSimulator`."""
         with self.mujoco() as simulator:
@@ -65,16 +72,11 @@ class BenchSession:
         # With a step of its own the kernel is not held to what MuJoCo can tell apart.
         return (shortest if self.publishable else 0.0), longest
 
-    @property
+    @cached_property
     def fingerprint(self) -> str:
-        """Hash of the compiled model and of the step: what it is, whatever file it came from."""
+        """Hash of the compiled model, and the kernel's options: what is simulated, whatever file it came from."""
         with self.mujoco() as simulator:
-            return f"{simulator.fingerprint} {self.options.timestep!r}"
-
-    @property
-    def publishable(self) -> bool:
-        """Whether the fit's step is the model's, so that MuJoCo replays it."""
-        return self.options.timestep == self._model_step
+            return f"{simulator.fingerprint} {self.options!r}"
 
     def kernel(self, runs: Sequence[BenchRun]) -> BenchKernel:
         """The compiled simulation of some runs."""

@@ -149,10 +149,11 @@ def evidence(problem: FitProblem, kernel: BenchKernel, values: FloatArray) -> Ev
     """
     x = problem.to_unit(values)
     parts, jacobians = _linearise(problem, kernel, x)
-    A, gradients = _normal_equations(parts, jacobians)
+    curvatures = [_curvature(part, jacobian) for part, jacobian in zip(parts, jacobians, strict=True)]
+    gradients = [_gradient(part, jacobian) for part, jacobian in zip(parts, jacobians, strict=True)]
+    A = np.sum(curvatures, axis=0)
     spread = _residual_spread(problem.train, parts, jacobians)
     inverse, silent = _inverse(A, spread)
-    curvatures = [_curvature(part, jacobian) for part, jacobian in zip(parts, jacobians, strict=True)]
     covariance = _covariance(inverse, silent, leave_one_out(A, silent, curvatures, gradients), spread)
     quantile = float(stats.t.ppf(0.975, max(len(problem.train) - 1, 1)))
     half = quantile * np.sqrt(np.diag(covariance))
@@ -188,16 +189,9 @@ def _linearise(problem: FitProblem, kernel: BenchKernel, x: FloatArray) -> tuple
     return parts, without_starts(problem, kernel, x, jacobians)
 
 
-def _normal_equations(
-    parts: Sequence[FloatArray], jacobians: Sequence[FloatArray]
-) -> tuple[FloatArray, list[FloatArray]]:
-    """Curvature A (n, n) and the gradient of each run (n,), every run with equal weight."""
-    A = np.sum([_curvature(part, jacobian) for part, jacobian in zip(parts, jacobians, strict=True)], axis=0)
-    gradients = [
-        (jacobian * (robust_weights(part) / part.size)[:, None]).T @ part
-        for part, jacobian in zip(parts, jacobians, strict=True)
-    ]
-    return A, gradients
+def _gradient(part: FloatArray, jacobian: FloatArray) -> FloatArray:
+    """One run's share of the gradient, every run with equal weight, (n,)."""
+    return np.asarray((jacobian * (robust_weights(part) / part.size)[:, None]).T @ part)
 
 
 def _curvature(part: FloatArray, jacobian: FloatArray) -> FloatArray:

@@ -99,7 +99,7 @@ def solve(
     whole = session.kernel(problem.train)
     # Alone, CMA-ES has to settle on all runs itself.
     part = session.kernel(subset(problem.train, SUBSET)) if optimizer == "cmaes+lsq" else whole
-    identity = identity_of(problem, session, optimizer)
+    identity = identity_of(problem, session, optimizer) if checkpoint is not None else ""
     found: list[Restart] = []
     used, stop = 0, Stop.BUDGET
     trace: tuple[float, ...] = ()

@@ -30,7 +30,10 @@ Floats = npt.NDArray[np.float64]
 def robot(name: str) -> mujoco.MjModel:
     """The robot with places for coefficients."""
     spec = mujoco.MjSpec.from_file(str(ROOT / "robot_model" / f"{name}.xml"))
+    there = {one.name for one in spec.numerics}  # a calibrated model may carry them already
     for servo in ("mx64", "mx106"):
+        if servo + servo_law.SUFFIX in there:
+            continue
         spec.add_numeric(name=servo + servo_law.SUFFIX, size=servo_law.NUMBERS, data=[0.0] * 9 + [1.0, 1.0])
     return spec.compile()
 

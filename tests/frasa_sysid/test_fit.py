@@ -1,4 +1,5 @@
 import json
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -348,3 +349,15 @@ def test_what_is_no_fit_file(tmp_path, content):
         load(path)
     with pytest.raises(InputError, match="no fit at"):
         load(tmp_path / "b.json")
+
+
+def test_a_step_of_its_own_is_another_search(kit, robot_model_dir):
+    """Also where it equals the model's step: the equations are others, so MuJoCo cannot replay such a fit."""
+    own, path = kit.session, robot_model_dir / "bench_pendulum.xml"
+    with BenchSession(path, kit.servo, 1, own.options.timestep) as other:
+        assert other.options.timestep == own.options.timestep
+        assert own.publishable
+        assert not other.publishable
+        assert other.fingerprint != own.fingerprint
+        assert other.delay_range[0] == 0.0 < own.delay_range[0]
+        assert not pickle.loads(pickle.dumps(other)).publishable
