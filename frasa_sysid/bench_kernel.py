@@ -178,7 +178,7 @@ class BenchKernel:
             self.options.timestep,
             self.options.creep,
             self.options.implicit * self.options.timestep,
-            self.options.early * self.options.timestep,
+            self.options.early,
             w,
             q0,
             v0,
@@ -247,7 +247,7 @@ def _fill_lanes(
 
     Records of m `candidates` and of n `rigs` (`_rigs`), `offsets` and `starts` as in `BenchKernel.readings`, pairs
     run * m + candidate of each lane (blocks, 16), step h [s], `creep` [1/s] and how far damping looks
-    `ahead` and commands act `early` [s] give w (blocks, ROWS * 16), q0 [rad],
+    `ahead` [s] and which share of a step commands act `early` give w (blocks, ROWS * 16), q0 [rad],
     v0 [rad/s], `offset` [rad] and `delay` [s] (blocks, 16).
     """
     m = len(candidates)
@@ -256,7 +256,7 @@ def _fill_lanes(
             r, c = divmod(pairs[block, i], m)
             x, rig, lane = candidates[c], rigs[r], w[block, i:]
             zero = x.offset + offsets[c, r]
-            offset[block, i], delay[block, i] = zero, x.delay + early
+            offset[block, i], delay[block, i] = zero, x.delay + early * h
             q0[block, i], v0[block, i] = rig.q0 - zero + starts[c, r, 0], rig.dq0 + starts[c, r, 1]
             # Volts and torques meet no position error: nothing to track, to shift, to widen or to hold back.
             tracks = 1.0 - rig.absolute
@@ -276,7 +276,7 @@ def _fill_lanes(
             lane[k.FADE_SHIFT] = LOG2_LOG2_E - x.stribeck_exponent * np.log2(x.stribeck_speed)
             lane[k.SAG], lane[k.BACK_EMF] = x.sag / max(stall, 1e-9) ** 2, lane[k.BACK_ON]
             lane[k.FOLLOW], lane[k.BIAS], lane[k.STEEP] = x.follow, x.bias, 1.0 / _PUNCH_WIDTH
-            lane[k.IMPLICIT] = ahead
+            lane[k.IMPLICIT], lane[k.AHEAD] = ahead, early
             lane[k.DRAG] = x.drag
             lane[k.LAG] = x.loop_lag * tracks
             lane[k.PUNCH], lane[k.DEAD] = x.punch * tracks, x.dead_zone * tracks

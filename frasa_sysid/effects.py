@@ -66,8 +66,8 @@ _LAW_NUMBERS: Mapping[str, Number] = MappingProxyType(
             Number("load_external", "servo", "1", _flat(0.0, 0.6, 0.05)),
             Number("load_motor_stribeck", "servo", "1", _flat(0.0, 1.0, 0.05)),
             Number("load_external_stribeck", "servo", "1", _flat(0.0, 1.0, 0.05)),
-            Number("quad_motor", "servo", "1/(N m)", lambda force, speed: (0.0, 0.3 / force, 0.01 / force)),
-            Number("quad_external", "servo", "1/(N m)", lambda force, speed: (0.0, 0.3 / force, 0.01 / force)),
+            Number("quad_motor", "servo", "1/(N m)", lambda force, speed: (0.0, 6.0 / force, 0.1 / force)),
+            Number("quad_external", "servo", "1/(N m)", lambda force, speed: (0.0, 6.0 / force, 0.1 / force)),
         )
     }
 )

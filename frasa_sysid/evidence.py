@@ -11,32 +11,32 @@ g_l = J_l^T W_l r_l, leaving log l out moves the fit by
 With as few logs as a bench gives, the plain sandwich :math:`A^{-1} B A^{-1}` is too narrow, because
 every log has pulled the fit towards itself; the jackknife knows that. Samples of one log are
 anything but independent, so counting them one by one would make intervals several times too narrow.
+Slopes are those over an ensemble that raises the cost by a few per cent (`ensemble`): where the cost is
+rough, difference quotients at one point are steeper than what the logs can tell, and intervals too narrow.
 With few logs B cannot have full rank; then the spread of the residuals with one effective sample
 per `CORRELATION_TIME` is used where it is larger.
 Beside it stands a bootstrap over logs (`resampling`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 
 from frasa_sysid.bench_kernel import BenchKernel
-from frasa_sysid.cost import residuals, robust_weights
+from frasa_sysid.linearised import even_spread, linearise
 from frasa_sysid.problem import FitProblem, FreeParameter
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.resampling import Profile, leave_one_out, one_step_bootstrap, profile_likelihoods, worst_pairs
-from frasa_sysid.rig import BenchRun
-from frasa_sysid.shooting import without_starts
 
-CORRELATION_TIME = 0.25  # [s] over which residuals of one log are taken as one sample
-ON_BOUND = "on its bound"
+IDENTIFIED, ROUGH, ON_BOUND = "identified", "known roughly", "on its bound"
 _BOX_VARIANCE = 1.0 / 12.0  # of a number about which only the bounds are known, in the unit cube
-_STEP = 1e-3  # of the unit cube, for central differences
 _ON_BOUND = 1e-3  # of the unit cube
 _VAGUE = 0.25  # half-width of an interval, as a share of the bounds, that says next to nothing
-_RELATIVE = 0.5  # half-width relative to the value that still counts as identified
+_RELATIVE = 0.5  # half-width relative to the value from which on next to nothing is known
+_FINE = 0.05  # half-width relative to the value up to which it is identified ...
+_FINE_UNSCALED = 0.01  # ... or, where the value is no scale, relative to the bounds
 _TOGETHER = 0.95  # correlation beyond which only a combination is known
 
 # Numbers for which "half of the value" is no scale: they are zero as often as not.
@@ -101,7 +101,8 @@ class Estimate:
         name, unit: as in the problem.
         value, nominal: fitted and before.
         low, high: 95 % interval, inside the bounds.
-        verdict: `identified`, `only in combination with ...`, `not excited` or `on its bound`.
+        verdict: `identified` (to 5 %), `known roughly`, `only in combination with ...`, `not excited` or
+            `on its bound`.
         advice: which recording would help; empty when identified.
     """
 
@@ -144,15 +145,13 @@ def evidence(problem: FitProblem, kernel: BenchKernel, values: FloatArray) -> Ev
 
     Args:
         problem: what was fitted; its training runs are the evidence.
-        kernel: simulates them, 2 n + 1 times.
+        kernel: simulates them, about 9 n times.
         values: fitted values, shape (n,).
     """
     x = problem.to_unit(values)
-    parts, jacobians = _linearise(problem, kernel, x)
-    curvatures = [_curvature(part, jacobian) for part, jacobian in zip(parts, jacobians, strict=True)]
-    gradients = [_gradient(part, jacobian) for part, jacobian in zip(parts, jacobians, strict=True)]
+    found = linearise(problem, kernel, x, even_spread(problem, kernel, x))
+    curvatures, gradients, spread = found.curvatures, found.gradients, found.spread
     A = np.sum(curvatures, axis=0)
-    spread = _residual_spread(problem.train, parts, jacobians)
     inverse, silent = _inverse(A, spread)
     covariance = _covariance(inverse, silent, leave_one_out(A, silent, curvatures, gradients), spread)
     quantile = float(stats.t.ppf(0.975, max(len(problem.train) - 1, 1)))
@@ -168,49 +167,6 @@ def evidence(problem: FitProblem, kernel: BenchKernel, values: FloatArray) -> Ev
     pairs = worst_pairs(correlation, half)
     profiles = profile_likelihoods(problem, kernel, x, A, half, pairs)
     return Evidence(estimates, correlation, spread_of_groups, interval, profiles)
-
-
-def _linearise(problem: FitProblem, kernel: BenchKernel, x: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Residuals of each training run and their Jacobians with respect to the unit cube, (T, n) each."""
-    low = np.maximum(x - _STEP, 0.0)
-    high = np.minimum(x + _STEP, 1.0)
-    points = [x]
-    for i in range(x.size):
-        points += [np.where(np.arange(x.size) == i, bound, x) for bound in (low, high)]
-    table = np.array(points)
-    rows = kernel.readings(problem.candidates(table), problem.offsets(table, kernel.runs))
-    readings = [kernel.split(row) for row in rows]
-    columns = [
-        [(up - down) / (high[i] - low[i]) for down, up in zip(readings[1 + 2 * i], readings[2 + 2 * i], strict=True)]
-        for i in range(x.size)
-    ]
-    jacobians = [np.nan_to_num(np.column_stack([column[r] for column in columns])) for r in range(len(problem.train))]
-    parts = [np.nan_to_num(part) for part in residuals(problem.train, readings[0])]
-    return parts, without_starts(problem, kernel, x, jacobians)
-
-
-def _gradient(part: FloatArray, jacobian: FloatArray) -> FloatArray:
-    """One run's share of the gradient, every run with equal weight, (n,)."""
-    return np.asarray((jacobian * (robust_weights(part) / part.size)[:, None]).T @ part)
-
-
-def _curvature(part: FloatArray, jacobian: FloatArray) -> FloatArray:
-    """One run's share of the curvature, (n, n)."""
-    weighted = jacobian * (robust_weights(part) / part.size)[:, None]
-    return np.asarray(weighted.T @ jacobian)
-
-
-def _residual_spread(
-    runs: Sequence[BenchRun], parts: Sequence[FloatArray], jacobians: Sequence[FloatArray]
-) -> FloatArray:
-    """Covariance of the gradient from the residuals' own size, one sample per `CORRELATION_TIME`, (n, n)."""
-    spread = np.zeros((jacobians[0].shape[1],) * 2)
-    for run, part, jacobian in zip(runs, parts, jacobians, strict=True):
-        samples = max(run.t[-1] / CORRELATION_TIME, 1.0)
-        weights = robust_weights(part)
-        slope = jacobian * weights[:, None]
-        spread += slope.T @ slope / part.size * float(np.mean(weights * part**2)) / samples
-    return spread
 
 
 def _noise(A: FloatArray, spread: FloatArray) -> float:
@@ -264,8 +220,16 @@ def _estimate(
         max(free.low, value - half * width),
         min(free.high, value + half * width),
         verdict,
-        "" if verdict == "identified" else f"record {RECORD[free.field]}",
+        "" if verdict == IDENTIFIED else f"record {RECORD[free.field]}",
     )
+
+
+def widened(one: Estimate, free: FreeParameter, low: float, high: float) -> Estimate:
+    """An estimate whose interval holds low and high too, with the verdict that then is true."""
+    low, high = min(one.low, low), max(one.high, high)
+    if one.verdict == IDENTIFIED and not _fine(free, one.value, (high - low) / 2.0):
+        return replace(one, low=low, high=high, verdict=ROUGH, advice=f"record {RECORD[free.field]}")
+    return replace(one, low=low, high=high)
 
 
 def _verdict(problem: FitProblem, i: int, x: float, half: float, alone: float, correlation: FloatArray) -> str:
@@ -279,7 +243,15 @@ def _verdict(problem: FitProblem, i: int, x: float, half: float, alone: float, c
         return "not excited"
     if x < _ON_BOUND or x > 1.0 - _ON_BOUND:
         return ON_BOUND
-    return "identified"
+    width = free.high - free.low
+    return IDENTIFIED if _fine(free, free.low + x * width, half * width) else ROUGH
+
+
+def _fine(free: FreeParameter, value: float, half: float) -> bool:
+    """Whether a half-width [unit of the value] is small against the value or, without such a scale, the bounds."""
+    if half <= _FINE * abs(value):
+        return True
+    return free.field in _UNSCALED and half <= _FINE_UNSCALED * (free.high - free.low)
 
 
 def _too_wide(free: FreeParameter, x: float, half: float) -> bool:

@@ -15,17 +15,16 @@ import numpy as np
 from frasa_sysid.bench_kernel import BenchKernel
 from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.cost import Misfit, misfit
-from frasa_sysid.evidence import ON_BOUND, Evidence, evidence
+from frasa_sysid.evidence import ON_BOUND, Evidence, evidence, widened
 from frasa_sysid.problem import FitProblem, state_problem
 from frasa_sysid.recording import FloatArray
-from frasa_sysid.restarts import Optimizer, Solved, Tell, point_of, solve, unsearched
+from frasa_sysid.restarts import AGREE, Optimizer, Solved, Tell, point_of, solve, unsearched
 from frasa_sysid.rig import BenchRun
 from frasa_sysid.search import Stop
 from frasa_sysid.servo_values import ServoValues
 from frasa_sysid.shooting import shoot
 
 RESTARTS = 3  # searches of the final problem; they must agree
-_ALIKE = 0.05  # relative difference in cost within which another start's numbers are as good for the logs
 _UNEXCITED_LOSS = 0.005  # relative loss in cost for which an unexcited number goes back to nominal
 # Which simpler laws a law starts from.
 _BELOW = {"m1": (), "m2": ("m1",), "m3": ("m1",), "m4": ("m2", "m3"), "m5": ("m4",), "m6": ("m5",)}
@@ -297,11 +296,11 @@ def _with_restarts(problem: FitProblem, weighed: Evidence, solved: Solved) -> Ev
     Where the cost is rough (an arm that sticks in one place or the next) a slope at one point knows nothing of it.
     """
     # After multiple shooting no restart is as good: their starts are as measured.
-    alike = [solved.x, *(one.x for one in solved.restarts if one.cost <= solved.cost * (1.0 + _ALIKE))]
+    alike = [solved.x, *(one.x for one in solved.restarts if one.cost <= solved.cost * (1.0 + AGREE))]
     found = np.array([problem.from_unit(x) for x in alike])
     estimates = tuple(
-        replace(one, low=min(one.low, float(column.min())), high=max(one.high, float(column.max())))
-        for one, column in zip(weighed.estimates, found.T, strict=True)
+        widened(one, free, float(column.min()), float(column.max()))
+        for one, free, column in zip(weighed.estimates, problem.free, found.T, strict=True)
     )
     return replace(weighed, estimates=estimates)
 

@@ -13,6 +13,7 @@ from frasa_sysid.calibration.friction import FIELDS as FRICTION_FIELDS
 from frasa_sysid.choice import Choice, Trial
 from frasa_sysid.cost import Misfit
 from frasa_sysid.effects import EFFECTS
+from frasa_sysid.evidence import IDENTIFIED, ROUGH
 from frasa_sysid.fit import FitResult
 from frasa_sysid.recording import FloatArray, Recording
 from frasa_sysid.resampling import Profile
@@ -105,7 +106,7 @@ def torque_off(result: FitResult) -> str:
     """What the servo does with its torque switched off, as far as the logs say: `coast`, `short-brake`, `unclear`."""
     estimates = {one.name.partition(".")[2]: one for one in result.evidence.estimates}
     off, on = estimates.get("damping_off"), estimates.get("damping")
-    if off is None or on is None or off.verdict != "identified":
+    if off is None or on is None or off.verdict not in (IDENTIFIED, ROUGH):
         return "unclear"
     if off.high < 0.5 * on.low:
         return "coast"

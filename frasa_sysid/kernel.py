@@ -45,7 +45,8 @@ SAG, BACK_EMF, FOLLOW, PUNCH, STEEP, DEAD, COLLAPSE_AT, COLLAPSE_TO, BIAS, LAG, 
 )
 IMPLICIT = LANES * 36  # step [s] by which the damping torque looks ahead
 DRAG = LANES * 37
-ROWS = 38
+AHEAD = LANES * 38  # share of its last change that a speed is carried on by, to the time of the angle beside it
+ROWS = 39
 _CHUNK = 128  # steps whose inputs are laid out side by side before they are simulated: they fit the first cache
 _BEYOND = 1e3  # [rad] a simulation that got here has diverged
 _NO_LIMIT = 1e3  # [rad] goal steps from here on are not limited
@@ -61,6 +62,7 @@ def _stepper(law: bool, effects: bool) -> Any:  # noqa: ANN401 (numba's function
         w: FloatArray,
         q_state: FloatArray,
         v_state: FloatArray,
+        v_last: FloatArray,
         command: FloatArray,
         supply: FloatArray,
         out: FloatArray,
@@ -71,14 +73,16 @@ def _stepper(law: bool, effects: bool) -> Any:  # noqa: ANN401 (numba's function
             for i in range(LANES):
                 q = q_state[i]
                 v = v_state[i]
+                # A step's torque makes the speed of the step's middle, so v is half a step older than q.
+                now = fma(w[AHEAD + i], v - v_last[i], v) if law or effects else v
                 # As MuJoCo's history interpolates linearly between the commands of two steps.
                 goal = fma(w[PART + i], command[o + i], fma(w[KEPT + i], command[o + LANES + i], w[SHIFT + i]))
                 error = fma(-w[TRACK + i], q, goal)
                 external = w[GRAVITY + i] * fast_sin(q)
                 if effects:
-                    external = fma(-w[DRAG + i] * abs(v), v, external + w[BIAS + i])
+                    external = fma(-w[DRAG + i] * abs(now), now, external + w[BIAS + i])
                     # The firmware: age of its reading, dead zone, punch, duty limit, gain collapse; then the supply.
-                    error = fma(w[LAG + i], v, error)
+                    error = fma(w[LAG + i], now, error)
                     error = error - min(max(error, -w[DEAD + i]), w[DEAD + i])
                     pushed = fma(w[PUNCH + i], min(max(error * w[STEEP + i], -1.0), 1.0), error)
                     asked = min(max(w[GAIN + i] * pushed, -w[LIMIT + i]), w[LIMIT + i])
@@ -86,16 +90,16 @@ def _stepper(law: bool, effects: bool) -> Any:  # noqa: ANN401 (numba's function
                     volts = fma(w[FOLLOW + i], supply[o + i] - 1.0, 1.0)
                     # The drop is resistance times current, and the current is what is left after the drop.
                     drop = w[SAG + i] * asked
-                    volts = fma(drop, w[BACK_EMF + i] * v, volts) / fma(drop, asked, 1.0)
+                    volts = fma(drop, w[BACK_EMF + i] * now, volts) / fma(drop, asked, 1.0)
                     act = w[POWER + i] * asked * volts
                 else:
                     act = w[POWER + i] * min(max(w[GAIN + i] * error, -w[LIMIT + i]), w[LIMIT + i])
                 bound = w[COULOMB + i]
                 if law:
                     bound = faded_loss(
-                        fma(-w[BACK + i], v, act),
+                        fma(-w[BACK + i], now, act),
                         external,
-                        stribeck_fade(v, w[EXPONENT + i], w[FADE_SHIFT + i]),
+                        stribeck_fade(now, w[EXPONENT + i], w[FADE_SHIFT + i]),
                         bound,
                         w[STRIBECK + i],
                         w[LOAD_M + i],
@@ -107,6 +111,8 @@ def _stepper(law: bool, effects: bool) -> Any:  # noqa: ANN401 (numba's function
                     )
                 smooth = fma(-w[DAMPING + i], v, act) + external
                 f = min(max(-fma(w[HOLD + i], v, smooth), -bound), bound)
+                if law or effects:
+                    v_last[i] = v
                 v = fma(w[ADVANCE + i], smooth + f, v)
                 q = fma(h, v, q)
                 q_state[i] = q
@@ -194,6 +200,13 @@ def _set_power(h: float, w: FloatArray, i: int, late: float, switches: FloatArra
 
 
 @njit(nogil=True, error_model="numpy", cache=True)
+def _scale_kick(w: FloatArray, share: float) -> None:
+    """Make the next steps change speeds by a share of what they would; friction still stops within a step."""
+    w[ADVANCE : ADVANCE + LANES] *= share
+    w[HOLD : HOLD + LANES] /= share
+
+
+@njit(nogil=True, error_model="numpy", cache=True)
 def simulate_blocks(
     blocks: IntArray,
     law: bool,
@@ -239,7 +252,7 @@ def simulate_blocks(
     begin, low, high, begin_volts, low_volts, high_volts, until, sample = np.empty((8, LANES), np.int64)
     for block in blocks:
         w = numbers[block].copy()
-        q, v = q0[block].copy(), v0[block].copy()
+        q, v, last = q0[block].copy(), v0[block].copy(), v0[block].copy()
         steps = 0
         slow = follows = False
         for i in range(LANES):
@@ -270,6 +283,11 @@ def simulate_blocks(
                     flags = switches[switch_start[r] : switch_start[r + 1]]
                     until[i] = _set_power(h, w, i, delay[block, i], flags, powered_first[r], first)
                 stop = min(stop, until[i])
+            half = first == 0 and w[AHEAD] != 0.0
+            if half:
+                # The start's speed is that of its own time, half a step before the first one's middle.
+                stop = 1
+                _scale_kick(w, 0.5)
             count = stop - first
             _side_by_side(goals[LANES:], command, begin, first, count, low, high)
             if slow:
@@ -278,13 +296,16 @@ def simulate_blocks(
                 _side_by_side(volts, supply, begin_volts, first, count, low_volts, high_volts)
             angles[:LANES] = q
             if law and effects:
-                _steps_full(h, count, w, q, v, goals, volts, angles)
+                _steps_full(h, count, w, q, v, last, goals, volts, angles)
             elif law:
-                _steps_law(h, count, w, q, v, goals, volts, angles)
+                _steps_law(h, count, w, q, v, last, goals, volts, angles)
             elif effects:
-                _steps_effects(h, count, w, q, v, goals, volts, angles)
+                _steps_effects(h, count, w, q, v, last, goals, volts, angles)
             else:
-                _steps_plain(h, count, w, q, v, goals, volts, angles)
+                _steps_plain(h, count, w, q, v, last, goals, volts, angles)
+            if half:
+                _scale_kick(w, 2.0)
+                last += last - v
             goals[:LANES] = goals[count * LANES : (count + 1) * LANES]
             for i in range(LANES):
                 c = candidate[block, i]

@@ -15,6 +15,7 @@ import numpy as np
 
 from frasa_sysid.bench_kernel import BenchKernel
 from frasa_sysid.bench_session import BenchSession
+from frasa_sysid.ensemble import settle
 from frasa_sysid.finish import FINE_STEPS, finish
 from frasa_sysid.problem import FitProblem
 from frasa_sysid.recording import FloatArray
@@ -23,8 +24,9 @@ from frasa_sysid.search import SearchResult, Stop, search
 
 SUBSET = 16  # runs that the search looks at; the finisher and all numbers use every run
 EVALUATIONS_PER_PARAMETER = 60
-_AGREE = 0.01  # relative difference in cost within which two restarts have found the same ...
+AGREE = 0.01  # relative difference in cost within which two restarts have found the same ...
 _ROUNDING = 2e-5  # [rad] ... beside what the rounding of a 12-bit encoder alone costs
+NEAR = 0.05  # relative difference in cost within which another start is worth settling too
 Optimizer = Literal["cmaes+lsq", "cmaes"]
 Tell = Callable[[str, int, float], None]
 
@@ -70,7 +72,7 @@ class Solved:
         costs = [one.cost for one in self.restarts if one.start.startswith("seed")]
         # Not `cost`: multiple shooting lowers that one after the searches.
         lowest = min((one.cost for one in self.restarts), default=self.cost)
-        return len(costs) > 1 and max(costs) > lowest * (1.0 + _AGREE) + _ROUNDING
+        return len(costs) > 1 and max(costs) > lowest * (1.0 + AGREE) + _ROUNDING
 
 
 def solve(
@@ -145,6 +147,12 @@ def _finished(
             polished = finish(problem, kernel, one.x)
             used += polished.evaluations
             done.append((Restart(one.start, polished.x, polished.cost), polished.converged))
+        best = min(range(len(done)), key=lambda i: done[i][0].cost)
+        for i, (one, _) in enumerate(done):
+            if one.cost <= done[best][0].cost * (1.0 + NEAR):
+                walked = settle(problem, kernel, one.x, problem.seed)
+                used += walked.evaluations
+                done[i] = (Restart(one.start, walked.x, walked.cost), True)
         best = min(range(len(done)), key=lambda i: done[i][0].cost)
         for step in FINE_STEPS:
             one = done[best][0]

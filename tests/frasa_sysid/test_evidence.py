@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from frasa_sysid.evidence import evidence
+from frasa_sysid.evidence import IDENTIFIED, ROUGH, evidence
 
 
 def verdicts(kit, plans, **values):
@@ -29,8 +29,8 @@ def test_a_rich_set_identifies_everything(kit, recordings):
     found = evidence(
         problem, kit.session.kernel(problem.train), np.array([kit.truth[one.field] for one in problem.free])
     )
-    assert {one.verdict for one in found.estimates} == {"identified"}
-    assert all(one.advice == "" for one in found.estimates)
+    assert {one.verdict for one in found.estimates} == {IDENTIFIED, ROUGH}
+    assert all((one.advice == "") == (one.verdict == IDENTIFIED) for one in found.estimates)
     for one, (low, high) in zip(found.estimates, found.spread, strict=True):
         assert one.low < one.value < one.high
         assert low <= one.value <= high

@@ -10,6 +10,7 @@ from frasa_sysid import search as searching
 from frasa_sysid.bench_kernel import BenchKernel
 from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.errors import InputError
+from frasa_sysid.evidence import IDENTIFIED, ROUGH
 from frasa_sysid.fit import fit
 from frasa_sysid.fit_record import Extras, save, to_json
 from frasa_sysid.problem import state_problem
@@ -49,7 +50,7 @@ def test_recovers_the_truth(kit, result):
             truth += kit.timestep / 2
         allowed = TOLERANCE[field] * (1.0 if field in ("delay", "offset") else truth)
         assert one.value == pytest.approx(truth, abs=allowed), one
-        assert one.verdict == "identified"
+        assert one.verdict in (IDENTIFIED, ROUGH)
 
 
 def test_intervals_are_honest(kit, result):
@@ -76,7 +77,7 @@ def test_a_step_of_its_own_is_physics(kit, recordings, robot_model_dir, timestep
         field = one.name.rpartition(".")[2]
         allowed = 0.0004 if field == "delay" else TOLERANCE[field] * (1.0 if field == "offset" else kit.truth[field])
         assert one.value == pytest.approx(kit.truth[field], abs=allowed), one
-        assert one.verdict == "identified"
+        assert one.verdict in (IDENTIFIED, ROUGH)
 
 
 def test_the_step_hardly_matters(kit, robot_model_dir):
@@ -93,6 +94,30 @@ def test_the_step_hardly_matters(kit, robot_model_dir):
         assert np.abs(found[step] - run.y).max() < 0.0005
     # The model's own step is MuJoCo's, and late by half of it.
     assert np.abs(found[None] - run.y).max() > 0.003
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        {"frictionloss": 0.0},
+        {"frictionloss": 0.0, "drag": 0.05, "loop_lag": 0.002},
+        {"stribeck": 0.1, "stribeck_speed": 2.0, "load_motor": 0.1, "load_external": 0.1, "sag": 0.2},
+    ],
+    ids=["plain", "effects", "law"],
+)
+def test_a_step_of_its_own_is_of_second_order(kit, robot_model_dir, numbers):
+    """From a start in motion, half the step leaves about a quarter of the error."""
+    truth = kit.truth | {"forcerange": 100.0}
+    swing = kit.Plan(goal=lambda t: 1.6 * t, truth=truth, duration=0.6)
+    recording = kit.recording(swing, noise=False)
+    found = {}
+    for step in (0.002, 0.001, 0.00002):
+        with BenchSession(robot_model_dir / "bench_pendulum.xml", kit.servo, 1, step) as session:
+            run = replace(runs_of([recording], kit.servo, step)[0], q0=-0.8, dq0=4.0)
+            found[step] = session.kernel([run]).readings(ServoValues(**truth | numbers).array()[None])[0]
+    coarse, fine = (np.abs(found[step] - found[0.00002]).max() for step in (0.002, 0.001))
+    assert 2.8 < coarse / fine < 5.5
+    assert coarse < 0.001
 
 
 def test_errors_shrink_also_on_what_was_held_out(result):

@@ -9,7 +9,7 @@ import pytest
 from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.calibration import run_command
 from frasa_sysid.cli import build_parser
-from frasa_sysid.evidence import evidence
+from frasa_sysid.evidence import IDENTIFIED, ROUGH, evidence
 from frasa_sysid.fit import fit
 from frasa_sysid.problem import state_problem, stated_servo
 from frasa_sysid.rig import BenchRun, segments
@@ -95,7 +95,7 @@ def test_what_diverges_is_recovered_in_pieces(known, session, gravity):
     found = {one.name.partition(".")[2]: one for one in result.evidence.estimates}
     for field, value in TRUTH.items():
         assert found[field].value == pytest.approx(value, rel=0.04), field
-        assert found[field].verdict == "identified"
+        assert found[field].verdict in (IDENTIFIED, ROUGH)
     assert all(run.free_start for run in result.problem.train)
     # What is left is the noise of the measurement, less what the starts take of it.
     assert result.fitted.rmse_rad == pytest.approx(NOISE, rel=0.05)
