@@ -15,6 +15,7 @@ from frasa_sysid.cost import Misfit
 from frasa_sysid.effects import EFFECTS
 from frasa_sysid.evidence import IDENTIFIED, ROUGH
 from frasa_sysid.fit import FitResult
+from frasa_sysid.readout import SEPARATED, Readout
 from frasa_sysid.recording import FloatArray, Recording
 from frasa_sysid.resampling import Profile
 from frasa_sysid.stand_in import StandIn
@@ -32,6 +33,7 @@ class Extras:
         bootstrap: 95 % interval of each parameter over fully refitted resampled logs, (n, 2).
         draws: how many of them.
         from_logs: what the recordings say by themselves, see `log_facts`.
+        readout: what they say about the ages of their channels.
     """
 
     origin: str
@@ -40,6 +42,7 @@ class Extras:
     bootstrap: FloatArray | None = None
     draws: int = 0
     from_logs: dict[str, list[float]] | None = None
+    readout: Readout | None = None
 
 
 def to_json(result: FitResult, extras: Extras) -> dict[str, Any]:
@@ -51,7 +54,7 @@ def to_json(result: FitResult, extras: Extras) -> dict[str, Any]:
         "servo": problem.servo.name,
         "friction": result.friction,
         "effects": list(problem.effects),
-        "not_in_model": [f"{name}: {EFFECTS[name].meaning}" for name in problem.effects],
+        "not_in_model": [f"{name}: {EFFECTS[name].meaning}" for name in problem.effects] + _ages(extras.readout),
         "origin": extras.origin,
         "stated_at": {
             "supply_voltage": problem.servo.supply_voltage,
@@ -94,6 +97,8 @@ def to_json(result: FitResult, extras: Extras) -> dict[str, Any]:
         data["bootstrap_draws"] = extras.draws
     if extras.from_logs:
         data["from_logs"] = extras.from_logs
+    if extras.readout is not None:
+        data["readout"] = extras.readout.to_json()
     return data
 
 
@@ -163,6 +168,11 @@ def _parameters(result: FitResult, extras: Extras) -> dict[str, dict[str, Any]]:
             evidence.estimates, evidence.spread, evidence.bootstrap, full, strict=True
         )
     }
+
+
+def _ages(readout: Readout | None) -> list[str]:
+    """What a published model's reader must know about its delay, where the logs tell more than a sum."""
+    return [f"read-out: {readout.words()}"] if readout is not None and readout.verdict == SEPARATED else []
 
 
 def _profile(one: Profile) -> dict[str, Any]:

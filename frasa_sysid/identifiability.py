@@ -20,8 +20,10 @@ from frasa_sysid.identifiability_effects import (
     stribeck,
     zero_offset,
 )
-from frasa_sysid.inspection import Motion
+from frasa_sysid.inspection import Motion, motions
 from frasa_sysid.readers.sampling import plural
+from frasa_sysid.readout import RECORD, SEPARATED, separate
+from frasa_sysid.recording import Recording
 
 FINE = 0.0005  # rad; noise of a position that shows no steps
 
@@ -29,6 +31,24 @@ FINE = 0.0005  # rad; noise of a position that shows no steps
 def findings(motions: Sequence[Motion]) -> list[Finding]:
     """All verdicts for a set of bench runs, most needed first; none without a bench run."""
     return [rule(motions) for rule in RULES] if motions else []
+
+
+def bench_findings(recordings: Sequence[Recording]) -> list[Finding]:
+    """All verdicts for the recordings of one servo, those about its clocks last; none without a bench run."""
+    found = findings(motions(recordings))
+    return [*found, _readout(recordings)] if found else []
+
+
+def _readout(recordings: Sequence[Recording]) -> Finding:
+    # Goal and position only tell the sum of both delays; the duty beside them tells more.
+    name = "read-out delay"
+    if not any(one.rig.control == "position" for one in recordings):
+        return Finding(name, "no", "no firmware loop at work whose duty could tell how old a reading is")
+    known = separate(recordings)
+    if known.verdict == SEPARATED:
+        return Finding(name, "yes", known.words())
+    # A duty that is no gain times the error stays so: only another channel, or none, can be recorded better.
+    return Finding(name, "weak", known.words(), "" if known.explained and not known.loop_gain else RECORD)
 
 
 def next_logs(found: Sequence[Finding]) -> list[str]:

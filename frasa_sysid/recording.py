@@ -13,6 +13,7 @@ Names and units of the signals that frasa knows (others may be present and are k
 `torque_enable`         1         1 while the motor is powered, 0 while it is off
 `supply_voltage`        V         supply voltage measured at the servo
 `force`                 N         force of a linear drive, known from its calibration
+`duty`                  1         signed share of the full PWM that the servo gives its motor
 `current`, `load`, ...  as given  kept, never taken for torque without a declared unit
 ======================  ========  =====================================================
 
@@ -45,6 +46,7 @@ UNITS: Mapping[str, str] = MappingProxyType(
         "torque_enable": "1",
         "supply_voltage": "V",
         "force": "N",
+        "duty": "1",
     }
 )
 LINEAR_UNITS: Mapping[str, str] = MappingProxyType(

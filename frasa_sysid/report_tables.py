@@ -67,7 +67,8 @@ def summary(result: FitResult, extras: Extras) -> Html:
     share = tag("div", tag("b", f"{known} of {len(result.evidence.estimates)}"))
     cards.append(tag("div", tag("small", "numbers identified"), share, css="card"))
     ending = tag("small", f"{result.evaluations} evaluations, seed {problem.seed}; {result.stop.value}")
-    return join([tag("p", words), *_warnings(result), tag("div", *cards, css="cards"), tag("p", ending)], "\n")
+    ages = [] if extras.readout is None else [tag("p", f"Delay: {extras.readout.words()}.")]
+    return join([tag("p", words), *ages, *_warnings(result), tag("div", *cards, css="cards"), tag("p", ending)], "\n")
 
 
 def _card(title: str, before: float, after: float) -> Html:

@@ -19,6 +19,7 @@ PHYSICS_DT = 0.0002  # [s]
 FIRMWARE_STEPS = 5  # physics steps per firmware loop (1 kHz)
 ENCODER_COUNT = 2.0 * np.pi / 4096  # [rad] 12-bit
 VOLTAGE_COUNT = 0.1  # [V]
+DUTY_COUNT = 1.0 / 885.0  # as a Dynamixel X reports its PWM
 GRAVITY = 9.81  # [m/s^2]
 
 
@@ -38,6 +39,8 @@ class Bench:
         read_jitter: mean of the exponential delay that each read adds to the loop [s].
         stamp_jitter: standard deviation of stamp against true sampling time [s].
         seed: of all random draws.
+        position_age: of a position at its stamp [s].
+        duty_age: of the duty register at its stamp [s]; None for a bench that does not read it.
     """
 
     loads: tuple[tuple[float, float], ...]
@@ -51,6 +54,15 @@ class Bench:
     read_jitter: float = 0.0004
     stamp_jitter: float = 0.0001
     seed: int = 0
+    position_age: float = 0.0
+    duty_age: float | None = None
+
+    @property
+    def readout(self) -> float:
+        """Age of the angle behind a read duty over that of the position beside it [s]; see `frasa_sysid.readout`."""
+        # The register holds what the last tick made: between no time at all and a physics step less than a tick.
+        tick = 0.5 * (FIRMWARE_STEPS - 1) * PHYSICS_DT
+        return (self.duty_age or 0.0) + tick - self.position_age
 
 
 @dataclass(frozen=True)
@@ -78,12 +90,15 @@ def simulate_bench(servo: Servo, bench: Bench, source: str) -> list[Recording]:
     """
     runs = _runs_of(bench)
     clocks = _read_times(bench, len(runs.trajectory))
-    position, voltage = _integrate(servo, bench, runs, clocks)
-    return [_record(servo, bench, runs, i, clocks[i], position[i], voltage[i], source) for i in range(len(clocks))]
+    position, voltage, duty = _integrate(servo, bench, runs, clocks)
+    return [
+        _record(servo, bench, runs, i, clocks[i], position[i], voltage[i], duty[i], source) for i in range(len(clocks))
+    ]
 
 
 def truth_of(servo: Servo, bench: Bench) -> dict[str, float]:
     """The true parameters, in the names and units of a Coulomb-viscous fit where these exist."""
+    ages = {} if bench.duty_age is None else {"bench.readout": bench.readout, "bench.position_age": bench.position_age}
     name, friction = servo.name, servo.friction
     return {
         f"{name}.kp": servo.kp(),
@@ -102,6 +117,7 @@ def truth_of(servo: Servo, bench: Bench) -> dict[str, float]:
         "servo.kt": servo.kt,
         "servo.R": servo.R,
         "supply.resistance": bench.supply_resistance,
+        **ages,
     }
 
 
@@ -141,26 +157,31 @@ def _read_times(bench: Bench, count: int) -> list[FloatArray]:
 
 def _integrate(
     servo: Servo, bench: Bench, runs: _Runs, clocks: list[FloatArray]
-) -> tuple[list[FloatArray], list[FloatArray]]:
-    """True joint angle [rad] and supply voltage [V] at the sampling times of each run."""
+) -> tuple[list[FloatArray], list[FloatArray], list[FloatArray]]:
+    """True joint angle [rad], supply voltage [V] and duty of each run, each as old as its channel is when sampled."""
     n = len(clocks)
     steps = round(trajectories.DURATION / PHYSICS_DT)
     goals, enables = _delayed_commands(bench, runs, clocks, steps)
     q, dq = np.zeros(n), np.zeros(n)
     duty, volts, motor = np.zeros(n), np.full(n, bench.supply_voltage), np.zeros(n)
-    angle, supply = np.empty((steps, n)), np.empty((steps, n))
+    angle, supply, duties = np.empty((3, steps, n))
     for k in range(steps):
         angle[k], supply[k] = q, volts
         tick, phase = divmod(k, FIRMWARE_STEPS)
         if phase == 0:
             error = goals[tick] - (q + bench.zero_offset)
             duty = np.clip(servo.error_gain * runs.gain * error, -servo.max_duty, servo.max_duty) * enables[tick]
+        duties[k] = duty
         current = (duty * volts - servo.kt * dq) / servo.R * enables[tick]
         volts = bench.supply_voltage - bench.supply_resistance * duty * current
         motor = servo.kt * current
         q, dq = _step(servo, runs, q, dq, motor)
-    index = [np.round(clock / PHYSICS_DT).astype(int) for clock in clocks]
-    return [angle[rows, i] for i, rows in enumerate(index)], [supply[rows, i] for i, rows in enumerate(index)]
+
+    def sampled(values: FloatArray, age: float) -> list[FloatArray]:
+        rows = [np.round((clock - age) / PHYSICS_DT).astype(int) for clock in clocks]
+        return [values[np.maximum(one, 0), i] for i, one in enumerate(rows)]
+
+    return sampled(angle, bench.position_age), sampled(supply, 0.0), sampled(duties, bench.duty_age or 0.0)
 
 
 def _step(servo: Servo, runs: _Runs, q: FloatArray, dq: FloatArray, motor: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -194,6 +215,7 @@ def _record(
     clock: FloatArray,
     angle: FloatArray,
     volts: FloatArray,
+    duty: FloatArray,
     source: str,
 ) -> Recording:
     rng = np.random.default_rng((bench.seed, i + 1))
@@ -207,6 +229,8 @@ def _record(
         "torque_enable": ("1", trajectories.torque_enabled(name, clock)),
         "supply_voltage": ("V", np.round(volts / VOLTAGE_COUNT) * VOLTAGE_COUNT),
     }
+    if bench.duty_age is not None:
+        columns["duty"] = ("1", np.round(duty / DUTY_COUNT) * DUTY_COUNT)
     facts = RigFacts(
         servo=servo.name,
         mass=float(runs.mass[i]),

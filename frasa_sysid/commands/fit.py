@@ -21,10 +21,10 @@ from frasa_sysid.effects import EFFECTS
 from frasa_sysid.errors import InterruptedRunError, UsageError
 from frasa_sysid.fit import RESTARTS, FitResult, fit
 from frasa_sysid.fit_record import Extras, log_facts, save, to_json
-from frasa_sysid.identifiability import findings, next_logs
-from frasa_sysid.inspection import motions
+from frasa_sysid.identifiability import bench_findings, next_logs
 from frasa_sysid.problem import state_problem
 from frasa_sysid.publish import find_fits
+from frasa_sysid.readout import LONGEST_AGE, separate
 from frasa_sysid.replay import replay
 from frasa_sysid.report import write_fit_report
 from frasa_sysid.restarts import Tell
@@ -63,6 +63,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("--first", type=float, metavar="S", help="use the first S seconds of each run")
     parser.add_argument("--shooting", type=float, metavar="S", help="cut runs into pieces of S s (diverging logs)")
     parser.add_argument("--timestep", type=float, metavar="S", help="physics step [that of the bench model]")
+    parser.add_argument("--duty-age", type=float, metavar="S", help="age of a logged duty at its stamp, where known")
     parser.add_argument("--jobs", type=int, default=1, help="processes for folds and bootstraps [%(default)s]")
     parser.add_argument("--cluster", metavar="ADDRESS", help="Dask scheduler to do them, such as tcp://host:8786")
     parser.add_argument("--evaluations", type=int, metavar="N", help="search budget [60 per parameter]")
@@ -104,7 +105,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             _partial(out).unlink(missing_ok=True)
         show(result, extras)
         if not args.no_report:
-            beforehand = next_logs(findings(motions([*bench.train, *bench.held_out])))
+            beforehand = next_logs(bench_findings([*bench.train, *bench.held_out]))
             outputs["report"] = write_fit_report(out.with_suffix(".html"), result, extras, session, beforehand)
         if result.stop is Stop.INTERRUPTED:
             raise InterruptedRunError(
@@ -132,6 +133,8 @@ def _checked(args: argparse.Namespace) -> tuple[str, ...] | None:
             raise UsageError(f"--{name} {value:g}: expected seconds above 0")
     if args.timestep is not None and not 5e-5 <= args.timestep <= 0.02:
         raise UsageError(f"--timestep {args.timestep:g}: expected 0.00005 to 0.02 s")
+    if args.duty_age is not None and not abs(args.duty_age) <= LONGEST_AGE:
+        raise UsageError(f"--duty-age {args.duty_age:g}: expected seconds, {LONGEST_AGE:g} at most")
     if not 0 <= args.seed < 2**32:
         raise UsageError(f"--seed {args.seed}: expected 0 to 2^32 - 1")
     asked = args.effects or ("auto" if args.friction == "auto" else "none")
@@ -202,9 +205,11 @@ def _extras(
     choice: Choice | None,
     tell: Tell,
 ) -> Extras:
-    facts = log_facts([*bench.train, *bench.held_out])
+    recordings = [*bench.train, *bench.held_out]
+    facts = log_facts(recordings)
     if result.stop is Stop.INTERRUPTED:
         return Extras(bench.origin, choice, from_logs=facts)
+    readout = separate(recordings, args.duty_age)
     resampled = None
     if args.bootstrap:
         tell(f"fitting {args.bootstrap} resampled sets of logs", result.evaluations, result.solved.cost)
@@ -213,7 +218,7 @@ def _extras(
     if result.friction != "m1":
         tell("M1 in its place", result.evaluations, result.solved.cost)
         other = stand_in(result, session)
-    return Extras(bench.origin, choice, other, resampled, args.bootstrap, facts)
+    return Extras(bench.origin, choice, other, resampled, args.bootstrap, facts, readout)
 
 
 def _partial(out: Path) -> Path:
@@ -265,6 +270,8 @@ def show(result: FitResult, extras: Extras) -> None:
     for one in result.evidence.estimates:
         if one.advice:
             console.print(f"  {one.name} is {one.verdict}: {one.advice}")
+    if extras.readout is not None:
+        console.print(f"  {result.problem.servo.name}.delay: {extras.readout.words()}")
     if result.problem.effects:
         for name in result.problem.effects:
             console.print(f"  with {name}: {EFFECTS[name].meaning}")

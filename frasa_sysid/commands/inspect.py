@@ -14,8 +14,8 @@ from rich.table import Table
 from frasa_sysid.calibration.command_line import add_json_flag
 from frasa_sysid.commands.faults import show_faults
 from frasa_sysid.finding import Finding
-from frasa_sysid.identifiability import findings, next_logs
-from frasa_sysid.inspection import SignalSummary, is_bench, motions, summarise
+from frasa_sysid.identifiability import bench_findings, next_logs
+from frasa_sysid.inspection import SignalSummary, is_bench, summarise
 from frasa_sysid.readers import read_log
 from frasa_sysid.recording import Recording, Signal
 
@@ -71,7 +71,7 @@ def _by_servo(recordings: Sequence[Recording]) -> dict[str, list[Finding]]:
     groups: dict[str, list[Recording]] = defaultdict(list)
     for recording in recordings:
         groups[recording.rig.servo or "servo not named"].append(recording)
-    found = {servo: findings(motions(members)) for servo, members in sorted(groups.items())}
+    found = {servo: bench_findings(members) for servo, members in sorted(groups.items())}
     return {servo: several for servo, several in found.items() if several}
 
 

@@ -1,7 +1,9 @@
 """BAM's JSON logs (raw and processed, plain or gzipped) -> recordings.
 
 One object a file: facts of the rig at the top, `entries` with one reading each. A raw
-log has irregular `timestamp`s; a processed one has `dt` and may leave them out.
+log has irregular `timestamp`s; a processed one has `dt` and may leave them out. What `load` is depends on the
+servo: for an XL330 the recorder reads the present PWM, each register in an exchange of its own (position first,
+PWM third) and puts the stamp in the middle of them all (Rhoban/bam, bam/xl330/record.py).
 """
 
 import json
@@ -28,6 +30,8 @@ SIGNALS = {
     "input_volts": ("supply_voltage", "V"),
     "temp": ("temperature", "degC"),
 }
+# servo -> its present PWM at full duty, where `load` is that register (e-manual: 885 for 100 %)
+FULL_PWM = {"xl330": 885.0}
 ANGLES = ("position", "speed", "goal_position")
 # header key -> rig fact
 FACTS = {
@@ -70,6 +74,7 @@ def read_bam(path: Path, unit: Unit = "auto") -> list[Recording]:
     if unit == "auto":
         known_faults.check_radians(signals, rig, str(path))
     signals, handled = known_faults.clean(signals, rig)
+    signals.update(_duty(signals, rig))
     return [
         Recording(
             name=path.name,
@@ -83,6 +88,15 @@ def read_bam(path: Path, unit: Unit = "auto") -> list[Recording]:
             extra={key: value for key, value in log.items() if key != "entries" and key not in FACTS},
         )
     ]
+
+
+def _duty(signals: Mapping[str, Signal], rig: RigFacts) -> dict[str, Signal]:
+    """The `duty` of servos whose `load` is the present PWM, in counts or, from newer recorders, as a share of full."""
+    load, full = signals.get("load"), FULL_PWM.get(rig.servo or "")
+    if load is None or full is None or "duty" in signals:
+        return {}
+    share = np.abs(load.y).max() <= 1.0 and bool((load.y != np.round(load.y)).any())
+    return {"duty": Signal("duty", "1", load.t, load.y if share else load.y / full)}
 
 
 def _parse(path: Path) -> dict[str, Any]:

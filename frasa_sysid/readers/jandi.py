@@ -100,9 +100,22 @@ def read_jandi(path: Path) -> list[Recording]:
             sha256=sha256_of_file(telemetry),
             clock="file",
             faults=known_faults.unique([*found, *handled]),
-            extra={**facts.extra, "clock": {"goals": "end of transmission", "readings": describe(clock)}},
+            extra={
+                **facts.extra,
+                "clock": {
+                    "goals": "end of transmission",
+                    "readings": describe(clock),
+                    "exchange_ms": _exchange_ms(table, states),
+                },
+            },
         )
     ]
+
+
+def _exchange_ms(table: Table, states: Mask) -> float:
+    """How long the readings took [ms], the median: from the end of the question to the end of the answer."""
+    sent, received = (table.integers(name)[states] for name in STAMPS)
+    return round(float(np.median(received - sent)) / 1e6, 4)
 
 
 def _member(folder: Path, names: tuple[str, ...]) -> Path:
