@@ -33,7 +33,8 @@ class Extras:
         bootstrap: 95 % interval of each parameter over fully refitted resampled logs, (n, 2).
         draws: how many of them.
         from_logs: what the recordings say by themselves, see `log_facts`.
-        readout: what they say about the ages of their channels.
+        readout: what they say about the ages of their channels ...
+        delay_doubt: ... and where the fitted delay is not what they say; see `readout.disagreement`.
     """
 
     origin: str
@@ -43,6 +44,7 @@ class Extras:
     draws: int = 0
     from_logs: dict[str, list[float]] | None = None
     readout: Readout | None = None
+    delay_doubt: str = ""
 
 
 def to_json(result: FitResult, extras: Extras) -> dict[str, Any]:
@@ -98,7 +100,7 @@ def to_json(result: FitResult, extras: Extras) -> dict[str, Any]:
     if extras.from_logs:
         data["from_logs"] = extras.from_logs
     if extras.readout is not None:
-        data["readout"] = extras.readout.to_json()
+        data["readout"] = {**extras.readout.to_json(), "doubt": extras.delay_doubt}
     return data
 
 

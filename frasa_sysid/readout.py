@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from frasa_sysid.loop_lags import FULL, Lags, Limits, pieces_of
+from frasa_sysid.loop_lags import FIRMWARE, FULL, Lags, Limits, pieces_of
 from frasa_sysid.recording import FloatArray, Recording
 
 SUM_ONLY = "command delay and read-out delay are known as a sum only"
@@ -111,6 +111,25 @@ class Readout:
         found = {name: getattr(self, name) for name in (*names, "position_age", "command_delay")}
         known = {name: list(one) if isinstance(one, tuple) else one for name, one in found.items() if one is not None}
         return {"verdict": self.verdict, "words": self.words(), **known}
+
+
+def disagreement(readout: Readout, fitted: Limits, step: float) -> str:
+    """Says that a fitted delay is not the one that the duty shows; empty where it is, or where the duty shows none.
+
+    Args:
+        readout: what the logs say.
+        fitted: 95 % interval of the delay of a fit on them [s].
+        step: of its physics [s]; that and the firmware's period may be in the fitted delay.
+    """
+    if readout.total is None:
+        return ""
+    low, high = readout.total
+    if fitted[0] - step - FIRMWARE <= high and low <= fitted[1] + FIRMWARE:
+        return ""
+    return (
+        f"the fitted delay ({_ms(*fitted)}) is not what the duty shows ({_ms(low, high)}): "
+        "it makes up for something that the model of the servo lacks"
+    )
 
 
 def separate(recordings: Sequence[Recording], duty_age: float | None = None) -> Readout:

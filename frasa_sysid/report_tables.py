@@ -68,7 +68,9 @@ def summary(result: FitResult, extras: Extras) -> Html:
     cards.append(tag("div", tag("small", "numbers identified"), share, css="card"))
     ending = tag("small", f"{result.evaluations} evaluations, seed {problem.seed}; {result.stop.value}")
     ages = [] if extras.readout is None else [tag("p", f"Delay: {extras.readout.words()}.")]
-    return join([tag("p", words), *ages, *_warnings(result), tag("div", *cards, css="cards"), tag("p", ending)], "\n")
+    return join(
+        [tag("p", words), *ages, *_warnings(result, extras), tag("div", *cards, css="cards"), tag("p", ending)], "\n"
+    )
 
 
 def _card(title: str, before: float, after: float) -> Html:
@@ -80,7 +82,7 @@ def _card(title: str, before: float, after: float) -> Html:
     return tag("div", tag("small", title), numbers, tag("small", better), css="card")
 
 
-def _warnings(result: FitResult) -> list[Html]:
+def _warnings(result: FitResult, extras: Extras) -> list[Html]:
     found = []
     if result.solved.multimodal:
         found.append(
@@ -89,6 +91,8 @@ def _warnings(result: FitResult) -> list[Html]:
         )
     if result.stop is Stop.INTERRUPTED:
         found.append("This fit was interrupted: its numbers are the best so far, not the answer.")
+    if extras.delay_doubt:
+        found.append(f"{extras.delay_doubt[:1].upper()}{extras.delay_doubt[1:]}.")
     return [tag("div", text, css="warn") for text in found]
 
 

@@ -57,13 +57,6 @@ class Bench:
     position_age: float = 0.0
     duty_age: float | None = None
 
-    @property
-    def readout(self) -> float:
-        """Age of the angle behind a read duty over that of the position beside it [s]; see `frasa_sysid.readout`."""
-        # The register holds what the last tick made: between no time at all and a physics step less than a tick.
-        tick = 0.5 * (FIRMWARE_STEPS - 1) * PHYSICS_DT
-        return (self.duty_age or 0.0) + tick - self.position_age
-
 
 @dataclass(frozen=True)
 class _Runs:
@@ -98,7 +91,9 @@ def simulate_bench(servo: Servo, bench: Bench, source: str) -> list[Recording]:
 
 def truth_of(servo: Servo, bench: Bench) -> dict[str, float]:
     """The true parameters, in the names and units of a Coulomb-viscous fit where these exist."""
-    ages = {} if bench.duty_age is None else {"bench.readout": bench.readout, "bench.position_age": bench.position_age}
+    ages = (
+        {} if bench.duty_age is None else {"bench.readout": _readout(bench), "bench.position_age": bench.position_age}
+    )
     name, friction = servo.name, servo.friction
     return {
         f"{name}.kp": servo.kp(),
@@ -119,6 +114,15 @@ def truth_of(servo: Servo, bench: Bench) -> dict[str, float]:
         "supply.resistance": bench.supply_resistance,
         **ages,
     }
+
+
+def _readout(bench: Bench) -> float:
+    """Age of the angle behind a read duty over that of the position beside it [s], the mean; see `readout`."""
+    age = bench.duty_age or 0.0
+    clocks = np.concatenate(_read_times(bench, len(bench.loads) * len(bench.gains) * len(trajectories.GOALS)))
+    # The register holds what the last tick made of the angle it found.
+    since = np.round((clocks - age) / PHYSICS_DT) % FIRMWARE_STEPS * PHYSICS_DT
+    return age + float(since.mean()) - bench.position_age
 
 
 def _load_shares(friction: Friction) -> dict[str, float]:

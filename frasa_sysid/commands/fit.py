@@ -24,7 +24,7 @@ from frasa_sysid.fit_record import Extras, log_facts, save, to_json
 from frasa_sysid.identifiability import bench_findings, next_logs
 from frasa_sysid.problem import state_problem
 from frasa_sysid.publish import find_fits
-from frasa_sysid.readout import LONGEST_AGE, separate
+from frasa_sysid.readout import LONGEST_AGE, disagreement, separate
 from frasa_sysid.replay import replay
 from frasa_sysid.report import write_fit_report
 from frasa_sysid.restarts import Tell
@@ -210,6 +210,9 @@ def _extras(
     if result.stop is Stop.INTERRUPTED:
         return Extras(bench.origin, choice, from_logs=facts)
     readout = separate(recordings, args.duty_age)
+    delays = [one for one in result.evidence.estimates if one.name == f"{bench.servo.name}.delay"]
+    step = session.options.timestep
+    doubt = "".join(disagreement(readout, (one.low, one.high), step) for one in delays)
     resampled = None
     if args.bootstrap:
         tell(f"fitting {args.bootstrap} resampled sets of logs", result.evaluations, result.solved.cost)
@@ -218,7 +221,7 @@ def _extras(
     if result.friction != "m1":
         tell("M1 in its place", result.evaluations, result.solved.cost)
         other = stand_in(result, session)
-    return Extras(bench.origin, choice, other, resampled, args.bootstrap, facts, readout)
+    return Extras(bench.origin, choice, other, resampled, args.bootstrap, facts, readout, doubt)
 
 
 def _partial(out: Path) -> Path:
@@ -272,6 +275,8 @@ def show(result: FitResult, extras: Extras) -> None:
             console.print(f"  {one.name} is {one.verdict}: {one.advice}")
     if extras.readout is not None:
         console.print(f"  {result.problem.servo.name}.delay: {extras.readout.words()}")
+    if extras.delay_doubt:
+        console.print(f"  [yellow]doubtful[/yellow]: {extras.delay_doubt}")
     if result.problem.effects:
         for name in result.problem.effects:
             console.print(f"  with {name}: {EFFECTS[name].meaning}")

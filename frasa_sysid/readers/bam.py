@@ -2,8 +2,9 @@
 
 One object a file: facts of the rig at the top, `entries` with one reading each. A raw
 log has irregular `timestamp`s; a processed one has `dt` and may leave them out. What `load` is depends on the
-servo: for an XL330 the recorder reads the present PWM, each register in an exchange of its own (position first,
-PWM third) and puts the stamp in the middle of them all (Rhoban/bam, bam/xl330/record.py).
+servo: for an XL330 it is the present PWM. Its recorder (Rhoban/bam af22604, bam/xl330/record.py) reads every register
+in an exchange of its own, position first and PWM third of five, and puts the stamp in their middle: so the PWM is
+as old as its register, and the position two exchanges (1.4 ms) older than its own.
 """
 
 import json
