@@ -18,9 +18,12 @@ FULL = 1.02  # a duty beyond this is in another unit
 _SATURATED = 0.95  # of full duty from which on it says nothing about the error
 _FEWEST = 100  # samples of a piece ...
 _SHORTEST = 2.0  # [s] ... and its length; a piece with less is no witness of its own
+_MOST = 4000  # samples of a piece; of more every second, third ... one
+_MOST_RUNS = 100  # that are looked at; of more every second, third ... one
 _PIECES = 8  # that the runs are cut into, where they are long enough
 _FEWEST_POSITIONS = 16  # of a run that a spline is drawn through
 _ROBUST = 3.0  # median residuals from which on a sample counts little
+_NOISELESS = 1e-12  # share of a variance that counts as none
 _ROUNDING = 1e-9  # of the cost
 
 Mask = np.ndarray[tuple[int], np.dtype[np.bool_]]
@@ -75,6 +78,7 @@ def pieces_of(recordings: Sequence[Recording], goal_lags: Limits, position_lags:
         goal_lags: shortest and longest lag that will be tried [s]: there must be samples for all of them.
         position_lags: likewise.
     """
+    recordings = recordings[:: -(-len(recordings) // _MOST_RUNS)]
     whole = sum(one.signals["duty"].t[-1] - one.signals["duty"].t[0] for one in recordings)
     length = max(whole / max(_PIECES, len(recordings)), _SHORTEST)
     found = []
@@ -89,6 +93,7 @@ def pieces_of(recordings: Sequence[Recording], goal_lags: Limits, position_lags:
         count = max(int((duty.t[-1] - duty.t[0]) / length), 1)
         for part in np.array_split(np.flatnonzero(inside), count):
             if part.size >= _FEWEST and np.ptp(duty.y[part]) > 0.0:
+                part = part[:: -(-part.size // _MOST)]
                 found.append(Piece(duty.t[part], duty.y[part], goal, position, one.rig.firmware_gain or 1.0))
     return found
 
@@ -109,17 +114,16 @@ class _Design:
     duty: FloatArray
     weight: FloatArray
 
-    def regressed(self) -> tuple[FloatArray, FloatArray]:
-        """Gain and unexplained share of the duty's variance at every pair of lags, both (J, K).
+    def products(self) -> tuple[float, FloatArray, FloatArray]:
+        """Mean products of duty and duty, duty and error (J, K), error and error (J, K), centred.
 
-        In closed form: all that least squares needs are sums of products of three centred signals.
+        They are all that least squares needs, at every pair of lags at once.
         """
         w = self.weight
         G, Q, u = self.goals - w @ self.goals, self.positions - w @ self.positions, self.duty - w @ self.duty
         slope = ((w * u) @ G)[:, None] - (w * u) @ Q
         error = (w @ G**2)[:, None] + w @ Q**2 - 2.0 * (w[:, None] * G).T @ Q
-        gain = slope / np.maximum(error, 1e-300)
-        return gain, np.maximum(1.0 - gain * slope / max(float(w @ u**2), 1e-300), 0.0)
+        return float(w @ u**2), slope, error
 
     def reweighted(self, j: int, k: int) -> "_Design":
         """The same with little weight for samples off the law: those beside a goal's step, whichever tick had it."""
@@ -140,9 +144,9 @@ class Lags:
         weights: of the samples of each piece; alike by default.
 
     Attributes:
-        cost: minus twice the logarithm of the likelihood, each piece with a gain, an offset and a noise of its
-            own, (p, J, K).
-        gain: duty per radian in each piece [1/rad], (p, J, K).
+        cost: minus twice the logarithm of the likelihood, each piece with an offset and a noise of its own, (p, J, K).
+        gain: duty per radian and unit of firmware gain [1/rad], one for all pieces, (J, K): where the error goes with
+            the speed, as that of a light arm does, a gain of each piece's own would pass for a lag.
         left: share of each piece's variance that is not explained, (p, J, K).
     """
 
@@ -154,6 +158,7 @@ class Lags:
         weights: Sequence[FloatArray] | None = None,
     ) -> None:
         self.goal, self.position = goal, position
+        self._gains = np.array([piece.gain for piece in pieces])
         weights = weights or [np.full(piece.t.size, 1.0 / piece.t.size) for piece in pieces]
         self._designs = [
             _Design(
@@ -207,7 +212,15 @@ class Lags:
         return self.goal[kept[0]], self.position[kept[1]]
 
     def _weigh(self) -> None:
-        found = [design.regressed() for design in self._designs]
-        self.gain, self.left = np.array([gain for gain, _ in found]), np.array([left for _, left in found])
-        sizes = np.array([design.duty.size for design in self._designs])
-        self.cost = sizes[:, None, None] * np.log(np.maximum(self.left, 1e-12))
+        found = [design.products() for design in self._designs]
+        own = np.array([one[0] for one in found])[:, None, None]
+        slope, error = np.array([one[1] for one in found]), np.array([one[2] for one in found])
+        # What every piece leaves when it may choose its gain: its noise.
+        alone = np.maximum(own - slope**2 / np.maximum(error, 1e-300), _NOISELESS * own)
+        noise = alone.min(axis=(1, 2), keepdims=True)
+        P, count = self._gains[:, None, None], np.array([one.duty.size for one in self._designs])[:, None, None]
+        total = np.maximum(np.sum(count * P**2 * error / noise, axis=0), 1e-300)
+        self.gain = np.sum(count * P * slope / noise, axis=0) / total
+        left = own - 2.0 * self.gain * P * slope + (self.gain * P) ** 2 * error
+        self.left = np.maximum(left / own, _NOISELESS)
+        self.cost = count * np.log(self.left)

@@ -8,7 +8,7 @@ from frasa_sysid.calibration import run_command
 from frasa_sysid.cli import build_parser
 from frasa_sysid.finding import Finding
 from frasa_sysid.identifiability import bench_findings
-from frasa_sysid.loop_lags import Piece
+from frasa_sysid.loop_lags import Piece, pieces_of
 from frasa_sysid.readers import read_log
 from frasa_sysid.readers.bam import read_bam
 from frasa_sysid.readers.jandi import read_jandi
@@ -53,8 +53,7 @@ def test_the_ages_of_two_channels_are_told_apart(servo, position_age, duty_age, 
     best, low, high = found.difference
     assert best == pytest.approx(truth, abs=TOLERANCE)
     assert low <= truth <= high
-    # The command waits for the next tick of the firmware: up to a period more.
-    assert found.total[0] - 0.0005 <= command_delay + position_age <= found.total[1] + 0.0005
+    assert found.total[0] <= command_delay + position_age <= found.total[1]
     assert found.loop_gain == pytest.approx(PUBLISHED_M4[servo].error_gain, rel=0.005)
 
 
@@ -68,7 +67,7 @@ def test_a_known_age_of_the_duty_splits_the_sum():
     best, low, high = split.position_age
     assert best == pytest.approx(0.003, abs=TOLERANCE)
     assert low <= 0.003 <= high
-    assert split.command_delay[0] - 0.0005 <= 0.005 <= split.command_delay[1] + 0.0005
+    assert split.command_delay[0] <= 0.005 <= split.command_delay[1]
     assert "a position is" in split.words()
 
 
@@ -155,12 +154,12 @@ def test_words_are_plain_and_short_enough_to_be_published():
 
 
 def test_a_delay_that_the_duty_contradicts_is_named():
-    """Intervals apart by more than a step and a firmware period are; overlapping ones and unknown ones are not."""
+    """Intervals apart by more than a step are; overlapping ones and unknown ones are not."""
     ages = Readout(SEPARATED, "", (-0.002, -0.003, -0.001), (-0.005, 0.0), (-0.0028, 0.0025))
     assert "0.00" not in disagreement(ages, (0.007, 0.009), 0.002)
     assert "7.00 to 9.00 ms" in disagreement(ages, (0.007, 0.009), 0.002)
-    assert disagreement(ages, (0.005, 0.009), 0.002) == ""
-    assert disagreement(ages, (0.005, 0.009), 0.0005) != ""
+    assert disagreement(ages, (0.004, 0.009), 0.002) == ""
+    assert disagreement(ages, (0.004, 0.009), 0.0005) != ""
     assert disagreement(Readout("sum only", ""), (0.5, 0.6), 0.002) == ""
 
 
@@ -223,3 +222,16 @@ def test_jandi_logs(shared_dir):
     assert found.explained < 0.9
     assert found.bus_age == pytest.approx(0.00104, abs=5e-5)
     assert "within 1.04 ms" in found.words()
+
+
+def test_long_logs_are_thinned():
+    """Minutes at a kilohertz cost what seconds do: each of the eight pieces keeps a few thousand samples."""
+    t = np.arange(200_000) * 0.001
+    wave = Signal("position", "rad", t, np.sin(t))
+    goal, duty = Signal("goal", "rad", t, np.sin(t + 0.1)), Signal("duty", "1", t, 0.1 * np.cos(t))
+    log = made("mx64", gains=1)[0]
+    pieces = pieces_of(
+        [replace(log, signals={"position": wave, "goal": goal, "duty": duty})], (-0.02, 0.06), (0.0, 0.02)
+    )
+    assert len(pieces) == 8
+    assert all(2000 < piece.t.size <= 4000 for piece in pieces)
