@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from frasa_sysid import stored_fit
+from frasa_sysid import fit_json, stored_fit
 from frasa_sysid.calibration import CalibrationError, calibration_id, load_calibration, load_model, parameter, read
 from frasa_sysid.errors import InputError, ModelError, QualityError
 from frasa_sysid.publish import check_replay, find_fits, publish, replay_tolerance, write
@@ -36,7 +36,7 @@ def fit_of(servo, folder, **changes):
     names = list(parameters)
     matrix = 0.5 * np.ones((len(names),) * 2) + 0.5 * np.eye(len(names))
     data = {
-        "schema": stored_fit.SCHEMA_M1,
+        "schema": fit_json.SCHEMA_M1,
         "servo": servo,
         "origin": "simulated",
         "stated_at": {"supply_voltage": 15.0, "firmware_gain": 12.0},

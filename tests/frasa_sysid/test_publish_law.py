@@ -26,9 +26,10 @@ from frasa_sysid.calibration import (
 )
 from frasa_sysid.calibration.friction import COEFFICIENTS, LAWS, Friction
 from frasa_sysid.calibration.parameters import LAW_COEFFICIENTS
+from frasa_sysid.fit_json import SCHEMA
 from frasa_sysid.publish import publish, write
 from frasa_sysid.published_as import as_m1
-from frasa_sysid.stored_fit import SCHEMA, load, model_parameters
+from frasa_sysid.stored_fit import load, model_parameters
 
 NATIVE = {"kp": 24.9, "forcerange": 7.77, "damping": 1.1, "armature": 0.03, "delay": 0.0071}
 STAND_IN = {"kp": 24.9, "damping": 1.3, "frictionloss": 0.21, "armature": 0.031, "forcerange": 7.77, "delay": 0.0071}
