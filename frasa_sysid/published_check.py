@@ -100,7 +100,7 @@ def _check_delays(model: mujoco.MjModel, calibration: Calibration) -> None:
             continue
         if known.owner == "sensor":
             kept = model.sensor_history[delayed_sensors(model, known.field), 0]
-            room = kept.min(initial=0) * model.opt.timestep
+            room = float(kept.min()) * model.opt.timestep if kept.size else 0.0
         else:
             room = delay_room(model, known.owner)
         if one.high > room:

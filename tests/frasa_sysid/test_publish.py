@@ -1,5 +1,4 @@
 import json
-import shutil
 from dataclasses import replace
 
 import mujoco
@@ -47,17 +46,6 @@ def fit_of(servo, folder, **changes):
     path = folder / f"{servo}.json"
     path.write_text(json.dumps(data))
     return stored_fit.load(path)
-
-
-@pytest.fixture
-def model_dir(robot_model_dir, tmp_path):
-    """A copy of the nominal robot model in a folder of its own."""
-    folder = tmp_path / "robot_model"
-    folder.mkdir()
-    for path in robot_model_dir.glob("*.xml"):
-        if path.name != "calibrated.xml":
-            shutil.copy(path, folder)
-    return folder
 
 
 @pytest.fixture

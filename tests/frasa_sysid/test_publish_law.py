@@ -3,7 +3,6 @@
 import argparse
 import copy
 import json
-import shutil
 from dataclasses import asdict, replace
 
 import mujoco
@@ -93,17 +92,6 @@ def fit_of(folder, law="m4", servo="mx106", friction=None, **more):
     path = folder / f"{servo}.json"
     path.write_text(json.dumps(data))
     return load(path)
-
-
-@pytest.fixture
-def model_dir(robot_model_dir, tmp_path):
-    """A copy of the nominal robot model in a folder of its own."""
-    folder = tmp_path / "robot_model"
-    folder.mkdir()
-    for path in robot_model_dir.glob("*.xml"):
-        if path.name != "calibrated.xml":
-            shutil.copy(path, folder)
-    return folder
 
 
 def published(fits, folder):
