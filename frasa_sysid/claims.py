@@ -15,10 +15,11 @@ from frasa_sysid.calibration.friction import Friction
 from frasa_sysid.calibration.parameters import LAW_COEFFICIENTS, SERVO_FIELDS
 from frasa_sysid.errors import CalibrationError
 from frasa_sysid.model_mark import mark_of
+from frasa_sysid.robot_numbers import made, makes
 from frasa_sysid.stored_fit import StoredFit, model_parameters
-from frasa_sysid.stored_robot_fit import SCALES, StoredRobotFit
+from frasa_sysid.stored_robot_fit import StoredRobotFit
 
-_SCALED = 1e-6  # relative difference allowed between a number and its base times its scale
+_SCALED = 1e-6  # relative difference allowed between a number and what made it
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ def settle(fits: Sequence[StoredFit], robot: StoredRobotFit | None) -> Claims:
 
 
 def check_model(claims: Claims, model: mujoco.MjModel) -> None:
-    """See that the robot's fit was made with this model, and scaled what it says it scaled.
+    """See that the robot's fit was made with this model, and that its numbers are what was free makes of others.
 
     Args:
         claims: with or without a robot's fit.
@@ -116,16 +117,25 @@ def check_model(claims: Claims, model: mujoco.MjModel) -> None:
             f"the robot fit {claims.robot.sha256[:12]} was made with another model: '{there.name}' "
             f"({there.fingerprint}), this is '{here.name}' ({here.fingerprint}); fit again from this model"
         )
-    for name, value in claims.robot_values().items():
-        if _field(name) in LAW_FIELDS:  # a nominal model has no law
-            base = claims.instead[name].value
-        else:
-            nominal = read(model, name)
-            base = claims.instead[name].value if name in claims.instead else nominal
-        scale = _scale(claims.robot, name)
-        if scale is not None and not np.isclose(value, base * scale, rtol=_SCALED, atol=1e-12):
-            raise CalibrationError(f"{name} = {value:.6g}, but the {base:.6g} it stands on times its scale {scale:.6g} "
-                                   f"is {base * scale:.6g}")  # fmt: skip
+    base = {name: read(model, name) for name in claims.robot_values() if _field(name) not in LAW_FIELDS}
+    base |= {name: one.value for name, one in claims.instead.items()}
+    for free, one in claims.robot.parameters.items():
+        for name in makes(free, claims.robot.published):
+            value, expected = claims.robot_values()[name], made(free, float(one["value"]), base[name])
+            if not np.isclose(value, expected, rtol=_SCALED, atol=1e-12):
+                raise CalibrationError(
+                    f"{name} = {value:.6g}, but {free} = {one['value']:.6g} makes {expected:.6g} of the "
+                    f"{base[name]:.6g} it stands on"
+                )
+
+
+def short_delays(claims: Claims, timestep: float) -> list[str]:
+    """Commands' delays that MuJoCo cannot act on, in words: below a physics step [s], it acts on a whole one."""
+    return [
+        f"{name} = {value * 1e3:.3g} ms: MuJoCo acts on it as on {timestep * 1e3:g} ms"
+        for name, value in claims.robot_values().items()
+        if _field(name) == "delay" and 0.0 < value < timestep
+    ]
 
 
 def missing_of(robot: StoredRobotFit, benches: Sequence[StoredFit]) -> list[str]:
@@ -189,15 +199,6 @@ def _rest(stored: StoredFit, robot: StoredRobotFit, instead: dict[str, Instead])
         correlation=stored.correlation[np.ix_(index, index)],
         law=law,
     )
-
-
-def _scale(robot: StoredRobotFit, name: str) -> float | None:
-    """The factor of a robot fit by which a number was multiplied; None where it was not."""
-    for scale, fields in SCALES.items():
-        one = robot.parameters.get(f"{_owner(name)}.{scale}")
-        if one is not None and _is_servo(name) and _field(name) in fields:
-            return float(one["value"])
-    return None
 
 
 def _owner(name: str) -> str:

@@ -29,7 +29,7 @@ from frasa_sysid.calibration import (
 from frasa_sysid.calibration.apply import PRESENT_SUPPLY
 from frasa_sysid.calibration.friction import LAWS
 from frasa_sysid.calibration.load import RANGES_FILE
-from frasa_sysid.claims import Claims, check_model, settle
+from frasa_sysid.claims import Claims, check_model, settle, short_delays
 from frasa_sysid.errors import InputError, ModelError, QualityError
 from frasa_sysid.history_room import longest_delays, room_for
 from frasa_sysid.model_xml import inlined, parts_of, relocate_includes, write_class, write_id, write_number
@@ -95,7 +95,7 @@ def publish(fits: Sequence[StoredFit], nominal: Path, out: Path, robot: StoredRo
         write_number(root, PRESENT_SUPPLY, [calibration.ranges[SUPPLY].value])
     write_id(root, key)
     root.set("model", "sigmaban_calibrated" if root.get("model") == "sigmaban_nominal" else f"{root.get('model')}_cal")
-    root.insert(0, etree.Comment(headline(claims, key)))
+    root.insert(0, etree.Comment(headline(claims, key, short_delays(claims, model.opt.timestep))))
     etree.indent(root)
     xml = etree.tostring(root, encoding="unicode").rstrip() + "\n"
     heading = (

@@ -7,7 +7,8 @@ import numpy as np
 
 from frasa_sysid.calibration import Range, parameter
 from frasa_sysid.recording import FloatArray
-from frasa_sysid.stored_robot_fit import FIXED, SCALES, StoredRobotFit, scale_of
+from frasa_sysid.robot_numbers import makes
+from frasa_sysid.stored_robot_fit import FIXED, StoredRobotFit
 
 FLOOR_RELATIVE = 0.02  # [1] of the value: another unit or another day differs by more than any interval says
 FLOOR_DELAY = 0.0005  # [s] a bus is not steadier than this
@@ -30,26 +31,16 @@ def robot_ranges(robot: StoredRobotFit) -> dict[str, Range]:
 def robot_block(robot: StoredRobotFit, ranges: Mapping[str, Range]) -> Block:
     """Names and correlations of those that have a range.
 
-    Where the fit had a scale free, all that it multiplies move as one.
+    What one free number makes moves as one.
     """
     names: list[str] = []
     rows: list[int] = []
     for i, free in enumerate(robot.correlated):
-        for name in _speaks_of(robot, free):
-            if name in ranges and name not in names:
+        for name in makes(free, ranges) or [free]:
+            if name in ranges and name not in names and (name == free or name not in robot.correlated):
                 names.append(name)
                 rows.append(i)
-    matrix = robot.correlation[np.ix_(rows, rows)].copy()
-    np.fill_diagonal(matrix, 1.0)
-    return tuple(names), matrix
-
-
-def _speaks_of(robot: StoredRobotFit, free: str) -> list[str]:
-    scale = scale_of(free)
-    if scale is None:
-        return [free]
-    servo = free.rpartition(".")[0]
-    return [name for name in (f"{servo}.{one}" for one in SCALES[scale]) if name not in robot.correlated]
+    return tuple(names), robot.correlation[np.ix_(rows, rows)]
 
 
 def _told(one: Mapping[str, Any]) -> bool:

@@ -10,13 +10,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
-from frasa_sysid.calibration import plain, write_atomic
+from frasa_sysid.calibration import SERVO_FIELDS, TRUNK_FIELDS, plain, read, servo_classes, write_atomic
 from frasa_sysid.fit_json import ROBOT, SCHEMA
 from frasa_sysid.model_mark import ModelMark
 from frasa_sysid.recording import FloatArray
-from frasa_sysid.stored_robot_fit import SCALES, from_json, scale_of, unit_of
+from frasa_sysid.robot_numbers import made, makes, unit_of
+from frasa_sysid.stored_fit import StoredFit, model_parameters
+from frasa_sysid.stored_robot_fit import from_json
 
 Interval = tuple[float, float]
 
@@ -26,8 +29,8 @@ class RobotEstimate:
     """One number of a robot fit, in the unit of its parameter.
 
     Attributes:
-        name: of the table (`sensor.gyro_delay`, `left_knee.zero`, `mx106.kp`, `trunk.mass`) or a scale of a servo
-            class (`mx106.gain_scale`), which is kept for the record.
+        name: of the table (`sensor.gyro_delay`, `left_knee.zero`, `mx106.kp`, `trunk.mass`), or of what was free
+            (`mx106.gain_scale`, `command.delay`, ...; see `robot_numbers`), which is kept for the record.
         value, low, high: with its 95 % interval.
         verdict: `identified`, `known roughly`, `not excited`, ...; `fixed ...` for a number that was declared.
         nominal: what the fit started from: the nominal model, with the frozen bench fits applied.
@@ -47,39 +50,52 @@ class RobotEstimate:
     advice: str = ""
 
 
-def products(scale: RobotEstimate, base: Mapping[str, float]) -> list[RobotEstimate]:
-    """What a scale makes of the numbers of its servo class.
+def base_numbers(nominal: mujoco.MjModel, fits: Sequence[StoredFit]) -> dict[str, float]:
+    """What a robot fit stands on, by parameter name: bench fits, and the nominal model where they are silent.
 
     Args:
-        scale: `<servo>.gain_scale`, `damping_scale` or `friction_scale`.
-        base: by parameter name, what it multiplies: of the frozen bench fit or the nominal model. What the scale
-            does not speak of is passed over.
+        nominal: the model.
+        fits: the frozen bench fits.
 
-    Returns:
-        An estimate for each number of the table, with the scale's verdict.
+    Raises:
+        ModelError: the model has no servo class.
     """
-    servo, kind = scale.name.rpartition(".")[0], scale_of(scale.name)
-    if kind is None:
-        raise ValueError(f"'{scale.name}' is no scale: expected <servo>.<{'|'.join(SCALES)}>")
-    names = [name for name in (f"{servo}.{one}" for one in SCALES[kind]) if name in base]
+    base = {f"{servo}.{field}": read(nominal, f"{servo}.{field}")
+            for servo in servo_classes(nominal) for field in SERVO_FIELDS}  # fmt: skip
+    base |= {f"trunk.{field}": read(nominal, f"trunk.{field}") for field in TRUNK_FIELDS}
+    for one in fits:
+        base |= {name: float(number["value"]) for name, number in model_parameters(one).items()}
+    return base
 
-    def scaled(pair: Interval | None, by: float) -> Interval | None:
-        return None if pair is None else (pair[0] * by, pair[1] * by)
 
-    return [
-        RobotEstimate(
-            name,
-            scale.value * base[name],
-            scale.low * base[name],
-            scale.high * base[name],
-            scale.verdict,
-            base[name],
-            scaled(scale.spread, base[name]),
-            scaled(scale.bootstrap, base[name]),
-            scale.advice,
-        )
-        for name in names
-    ]
+def with_products(found: Sequence[RobotEstimate], base: Mapping[str, float]) -> tuple[RobotEstimate, ...]:
+    """What was found, and what it makes of the numbers of the table, with its verdict and widths.
+
+    Args:
+        found: estimates of what was free.
+        base: by parameter name, what they stand on; see `base_numbers`.
+    """
+    return (*found, *(_made(one, name, base[name]) for one in found for name in makes(one.name, base)))
+
+
+def _made(one: RobotEstimate, name: str, base: float) -> RobotEstimate:
+    def number(value: float) -> float:
+        return made(one.name, value, base)
+
+    def pair(interval: Interval | None) -> Interval | None:
+        return None if interval is None else (number(interval[0]), number(interval[1]))
+
+    return RobotEstimate(
+        name,
+        number(one.value),
+        number(one.low),
+        number(one.high),
+        one.verdict,
+        base,
+        pair(one.spread),
+        pair(one.bootstrap),
+        one.advice,
+    )
 
 
 @dataclass(frozen=True)
@@ -87,9 +103,9 @@ class RobotFitRecord:
     """A whole-robot fit, ready to be saved.
 
     Attributes:
-        estimates: what was found; with every scale its products.
-        correlated: names of `estimates` in the order of `correlation`: what was free. A scale stands there for all
-            that it multiplies.
+        estimates: `with_products` of what was found.
+        correlated: names of `estimates` in the order of `correlation`: what was free, which stands there for all
+            that it makes.
         correlation: shape (n, n).
         base: `fixed`, `floating` or `both`.
         model: `mark_of` the nominal model.

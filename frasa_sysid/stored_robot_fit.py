@@ -8,32 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from frasa_sysid.calibration import parameter
 from frasa_sysid.calibration.bodies import LARGEST_ZERO
 from frasa_sysid.errors import CalibrationError, InputError
 from frasa_sysid.fit_json import ROBOT, SCHEMA, checked_interval, checked_number, checked_text, read_json
 from frasa_sysid.model_mark import ModelMark
 from frasa_sysid.recording import FloatArray
+from frasa_sysid.robot_numbers import for_the_record, is_signed, unit_of
 
 BASES = ("fixed", "floating", "both")  # held by the trunk, on the ground, or logs of either
 FIXED = "fixed"  # how the verdict on a number begins that was declared, not fitted
-# What a scale multiplies, of what the frozen bench fit or the nominal model says.
-SCALES: Mapping[str, tuple[str, ...]] = {
-    "gain_scale": ("kp", "forcerange"),
-    "damping_scale": ("damping", "damping_off"),
-    "friction_scale": (
-        "frictionloss",
-        "stribeck",
-        "load_motor",
-        "load_external",
-        "load_motor_stribeck",
-        "load_external_stribeck",
-        "quad_motor",
-        "quad_external",
-    ),
-}
 LONGEST_DELAY = 0.5  # [s]; whatever is older than that is no robot under control
-_LARGEST_COM = 1.0  # [m]
+_LARGEST_COM, _LEAST_MASS = 1.0, 1e-6  # [m], [kg]
 _MOST_PARAMETERS = 1000
 _SPREADS = ("spread", "bootstrap")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
@@ -45,8 +30,8 @@ class StoredRobotFit:
 
     Attributes:
         parameters: value, low, high, spread_low, spread_high, unit, verdict and nominal by parameter name; those of
-            the table, and `<servo>.<scale>` for the record.
-        correlated: names in the order of `correlation`; a scale stands for all that it multiplies.
+            the table, and what made them for the record (see `robot_numbers`).
+        correlated: names in the order of `correlation`; what was free stands for all that it makes.
         correlation: shape (n, n).
         base: of the robot while it was logged, see `BASES`.
         model: the model it was fitted with.
@@ -76,8 +61,8 @@ class StoredRobotFit:
 
     @property
     def published(self) -> dict[str, dict[str, Any]]:
-        """The parameters that have a place in a model: all but the scales."""
-        return {name: one for name, one in self.parameters.items() if scale_of(name) is None}
+        """The parameters that have a place in a model."""
+        return {name: one for name, one in self.parameters.items() if not for_the_record(name)}
 
 
 def load(path: Path) -> StoredRobotFit:
@@ -109,27 +94,6 @@ def from_json(data: dict[str, Any], sha256: str = "") -> StoredRobotFit:
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, CalibrationError) as error:
         raise InputError(f"missing or wrong field: {error!r}") from error
     return stored
-
-
-def scale_of(name: str) -> str | None:
-    """Which scale a parameter is; None for one of the table."""
-    field = name.rpartition(".")[2]
-    return field if field in SCALES else None
-
-
-def unit_of(name: str) -> str:
-    """Unit of a parameter of a robot fit.
-
-    Raises:
-        CalibrationError: a robot fit has no such parameter.
-    """
-    if scale_of(name) is not None:
-        parameter(f"{name.rpartition('.')[0]}.kp")  # the owner can be a servo class
-        return "1"
-    one = parameter(name)
-    if one.owner == "robot":
-        raise CalibrationError(f"{name} is no fitted number; it stands in 'from_logs'")
-    return one.unit
 
 
 def _stored(data: dict[str, Any], sha256: str) -> StoredRobotFit:
@@ -187,16 +151,14 @@ def _check_parameter(name: str, one: Mapping[str, Any]) -> None:
 
 def _bounds(name: str) -> tuple[float, float]:
     """What no robot goes beyond."""
-    if scale_of(name) is not None:
-        return 0.0, np.inf
-    one = parameter(name)
-    if one.field == "zero":
+    field = name.rpartition(".")[2]
+    if field == "zero":
         return -LARGEST_ZERO, LARGEST_ZERO
-    if one.signed:
+    if is_signed(name):
         return -_LARGEST_COM, _LARGEST_COM
-    if one.field.endswith("delay"):
+    if field.endswith("delay"):
         return 0.0, LONGEST_DELAY
-    return (1e-6 if one.owner == "trunk" else 0.0), np.inf
+    return (_LEAST_MASS if name == "trunk.mass" else 0.0), np.inf
 
 
 def _check_whole(stored: StoredRobotFit) -> None:

@@ -1,7 +1,7 @@
 """Paths, and a hand-made fit of a whole robot, that several test folders need."""
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -11,9 +11,10 @@ import frasa_sysid  # noqa: F401 (before numpy, whose threads it keeps to one)
 # isort: split
 import numpy as np
 
-from frasa_sysid.calibration import load_model, read
+from frasa_sysid.calibration import load_model
 from frasa_sysid.model_mark import mark_of
-from frasa_sysid.robot_fit_record import RobotEstimate, RobotFitRecord, products
+from frasa_sysid.robot_fit_record import RobotEstimate, RobotFitRecord, base_numbers, with_products
+from frasa_sysid.stored_fit import StoredFit
 
 REPO_ROOT = Path(__file__).resolve().parent.parent
 
@@ -54,7 +55,7 @@ ROBOT_SCALES = {"mx106.gain_scale": 0.93, "mx106.damping_scale": 1.08, "mx106.fr
 
 @pytest.fixture(scope="session")
 def robot_record(robot_model_dir: Path) -> Callable[..., RobotFitRecord]:
-    """A maker of fits of the whole robot, as the fitter writes them; `base` are the numbers they scale."""
+    """A maker of fits of the whole robot, as the fitter writes them, on the bench fits it is given."""
     nominal = load_model(robot_model_dir / "nominal.xml")
 
     def estimate(name: str, value: float, base: float, half: float) -> RobotEstimate:
@@ -63,13 +64,12 @@ def robot_record(robot_model_dir: Path) -> Callable[..., RobotFitRecord]:
             spread, verdict = (value, value), "not excited"
         return RobotEstimate(name, value, value - half, value + half, verdict, base, spread, (value - half, value))
 
-    def make(base: dict[str, float] | None = None, frozen: tuple[str, ...] = (), **changes: object) -> RobotFitRecord:
-        known = {f"mx106.{f}": read(nominal, f"mx106.{f}") for f in ("kp", "forcerange", "damping", "frictionloss")}
-        base = {**known, **(base or {})}
+    def make(fits: Sequence[StoredFit] = (), **changes: object) -> RobotFitRecord:
+        base = base_numbers(nominal, fits)
         plain = {**ROBOT_DELAYS, **ROBOT_ZEROS, **ROBOT_TRUNK}
         half = {"zero": 0.001, "mass": 0.03}
         found = [
-            estimate(name, value, read(nominal, name), half.get(name.rpartition(".")[2], 0.0004))
+            estimate(name, value, base.get(name, 0.0), half.get(name.rpartition(".")[2], 0.0004))
             for name, value in plain.items()
         ]
         scales = [estimate(name, value, 1.0, 0.03) for name, value in ROBOT_SCALES.items()]
@@ -78,13 +78,13 @@ def robot_record(robot_model_dir: Path) -> Callable[..., RobotFitRecord]:
         matrix[2, 3] = matrix[3, 2] = 0.8  # gyro and orientation come over one bus
         matrix[-3, -2] = matrix[-2, -3] = -0.6  # gain and damping
         facts = {
-            "estimates": (*found, *scales, *(one for scale in scales for one in products(scale, base))),
+            "estimates": with_products((*found, *scales), base),
             "correlated": tuple(free),
             "correlation": matrix,
             "base": "fixed",
             "model": mark_of(nominal),
             "stated": {"supply_voltage": 15.0, "firmware_gain": 12.0},
-            "frozen": frozen,
+            "frozen": tuple(one.sha256 for one in fits),
             "inputs": {"robot.mcap": "0" * 64},
             "origin": "simulated",
             "supply_voltage": (13.9, 16.1),

@@ -8,8 +8,9 @@ import pytest
 
 from frasa_sysid import stored_fit
 from frasa_sysid.errors import InputError
-from frasa_sysid.robot_fit_record import RobotEstimate, products
-from frasa_sysid.stored_robot_fit import SCALES, load, unit_of
+from frasa_sysid.robot_fit_record import RobotEstimate, with_products
+from frasa_sysid.robot_numbers import SCALES, unit_of
+from frasa_sysid.stored_robot_fit import load
 
 NAN, INF = float("nan"), float("inf")
 ONE = {"value": 1.0, "low": 1.0, "high": 1.0, "verdict": "identified", "nominal": 1.0}
@@ -41,15 +42,24 @@ def test_saving_twice_gives_the_same_bytes(robot_record, tmp_path):
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
 
 
-def test_a_scale_multiplies_what_it_stands_for():
-    """Values, intervals and spreads are the base's times the scale's; what the base does not hold is passed over."""
+def test_what_was_free_makes_numbers_of_the_table():
+    """Scales multiply, one command delay is every servo's, the trunk is scaled and shifted; widths go with them."""
+    base = {"mx106.kp": 20.0, "mx106.forcerange": 8.0, "mx64.kp": 12.0, "mx106.delay": 0.0, "mx64.delay": 0.01,
+            "trunk.mass": 3.0, "trunk.com_x": 0.01}  # fmt: skip
     scale = RobotEstimate("mx106.gain_scale", 0.9, 0.8, 1.1, "known roughly", 1.0, (0.7, 1.2))
-    kp, limit = products(scale, {"mx106.kp": 20.0, "mx106.forcerange": 8.0, "mx64.kp": 12.0, "mx106.damping": 1.0})
+    first, kp, limit = with_products([scale], base)
+    assert first is scale
     assert (kp.name, kp.value, kp.low, kp.high, kp.nominal) == ("mx106.kp", 18.0, 16.0, 22.0, 20.0)
     assert (kp.spread, kp.bootstrap, kp.verdict) == ((14.0, 24.0), None, "known roughly")
     assert (limit.name, limit.value) == ("mx106.forcerange", 7.2)
-    with pytest.raises(ValueError, match="no scale"):
-        products(kp, {})
+
+    def of(name, value):
+        return {one.name: one.value for one in with_products([RobotEstimate(name, value, 0, 1, "", 0)], base)[1:]}
+
+    assert of("command.delay", 0.004) == {"mx106.delay": 0.004, "mx64.delay": 0.004}
+    assert of("trunk.mass_scale", 1.1) == {"trunk.mass": pytest.approx(3.3)}
+    assert of("trunk.com_shift_x", -0.004) == {"trunk.com_x": pytest.approx(0.006)}
+    assert of("trunk.com_shift_y", -0.004) == of("left_knee.zero", 0.1) == of("sensor.gyro_delay", 0.1) == {}
 
 
 def test_a_record_that_could_not_be_published_is_not_saved(robot_record, tmp_path):
