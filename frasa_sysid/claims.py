@@ -17,7 +17,7 @@ from frasa_sysid.errors import CalibrationError
 from frasa_sysid.model_mark import mark_of
 from frasa_sysid.robot_numbers import made, makes
 from frasa_sysid.stored_fit import StoredFit, model_parameters
-from frasa_sysid.stored_robot_fit import StoredRobotFit
+from frasa_sysid.stored_robot_fit import StoredRobotFit, speaks_of
 
 _SCALED = 1e-6  # relative difference allowed between a number and what made it
 
@@ -46,11 +46,13 @@ class Claims:
             robot's coefficients.
         robot: the robot's fit; None where there is none.
         instead: what it replaced, by parameter name.
+        kept: what it would have replaced, had its logs spoken of it; the bench's number stays.
     """
 
     benches: tuple[StoredFit, ...]
     robot: StoredRobotFit | None
     instead: dict[str, Instead]
+    kept: tuple[str, ...] = ()
 
     def servos(self) -> dict[str, dict[str, float]]:
         """Numbers of every servo class by field, those of its law included."""
@@ -94,8 +96,11 @@ def settle(fits: Sequence[StoredFit], robot: StoredRobotFit | None) -> Claims:
         return Claims(benches, None, {})
     _check_frozen(benches, robot)
     _check_laws(benches, robot)
-    instead = _replaced(owners, robot)
-    return Claims(tuple(_rest(one, robot, instead) for one in benches), robot, instead)
+    _check_standing(owners, robot)
+    kept = tuple(name for name, one in robot.published.items() if name in owners and not speaks_of(one))
+    told = replace(robot, parameters={name: one for name, one in robot.parameters.items() if name not in kept})
+    instead = {name: _instead(owners[name], name) for name in told.published if name in owners}
+    return Claims(tuple(_rest(one, told, instead) for one in benches), told, instead, kept)
 
 
 def check_model(claims: Claims, model: mujoco.MjModel) -> None:
@@ -167,20 +172,19 @@ def _check_laws(benches: Sequence[StoredFit], robot: StoredRobotFit) -> None:
             )
 
 
-def _replaced(owners: dict[str, StoredFit], robot: StoredRobotFit) -> dict[str, Instead]:
-    instead = {}
+def _check_standing(owners: dict[str, StoredFit], robot: StoredRobotFit) -> None:
     for name in robot.published:
         bench = owners.get(name)
-        if bench is None:
-            continue
-        if bench.sha256 not in robot.frozen:
+        if bench is not None and bench.sha256 not in robot.frozen:
             raise CalibrationError(
                 f"two fits claim {name}: {bench.sha256[:12]} and {robot.sha256[:12]}; the robot's fit did not stand "
                 "on the other, so fit the robot again"
             )
-        one = bench.parameters[name]
-        instead[name] = Instead(float(one["value"]), one["unit"], bench.sha256)
-    return instead
+
+
+def _instead(bench: StoredFit, name: str) -> Instead:
+    one = bench.parameters[name]
+    return Instead(float(one["value"]), one["unit"], bench.sha256)
 
 
 def _rest(stored: StoredFit, robot: StoredRobotFit, instead: dict[str, Instead]) -> StoredFit:

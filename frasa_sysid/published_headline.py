@@ -45,6 +45,7 @@ def _robot(robot: StoredRobotFit, claims: Claims) -> list[str]:
         if name not in robot.published:
             line += " (in the numbers it makes)"
         lines.append(line)
+    lines.extend(f"    {name}: its logs do not speak of it, the bench's number stays" for name in claims.kept)
     lines.extend(f"    not in this model: {one}" for one in robot.not_in_model)
     return lines
 

@@ -8,7 +8,7 @@ import numpy as np
 from frasa_sysid.calibration import Range, parameter
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.robot_numbers import makes
-from frasa_sysid.stored_robot_fit import FIXED, StoredRobotFit
+from frasa_sysid.stored_robot_fit import StoredRobotFit, speaks_of
 
 FLOOR_RELATIVE = 0.02  # [1] of the value: another unit or another day differs by more than any interval says
 FLOOR_DELAY = 0.0005  # [s] a bus is not steadier than this
@@ -25,7 +25,7 @@ def robot_ranges(robot: StoredRobotFit) -> dict[str, Range]:
 
     What was not excited or was declared has its place in the model, but no measured range.
     """
-    return {name: _range(robot, name, one) for name, one in robot.published.items() if _told(one)}
+    return {name: _range(robot, name, one) for name, one in robot.published.items() if speaks_of(one)}
 
 
 def robot_block(robot: StoredRobotFit, ranges: Mapping[str, Range]) -> Block:
@@ -41,10 +41,6 @@ def robot_block(robot: StoredRobotFit, ranges: Mapping[str, Range]) -> Block:
                 names.append(name)
                 rows.append(i)
     return tuple(names), robot.correlation[np.ix_(rows, rows)]
-
-
-def _told(one: Mapping[str, Any]) -> bool:
-    return "not excited" not in one["verdict"] and not one["verdict"].startswith(FIXED)
 
 
 def _range(robot: StoredRobotFit, name: str, one: Mapping[str, Any]) -> Range:

@@ -96,6 +96,11 @@ def from_json(data: dict[str, Any], sha256: str = "") -> StoredRobotFit:
     return stored
 
 
+def speaks_of(one: Mapping[str, Any]) -> bool:
+    """Whether the logs speak of a number: it was neither declared nor left where it was for want of excitation."""
+    return "not excited" not in one["verdict"] and not one["verdict"].startswith(FIXED)
+
+
 def _stored(data: dict[str, Any], sha256: str) -> StoredRobotFit:
     names = tuple(checked_text(name) for name in data["correlation"]["names"])
     if max(len(names), len(data["parameters"])) > _MOST_PARAMETERS:

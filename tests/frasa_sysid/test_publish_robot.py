@@ -188,6 +188,8 @@ def test_another_robot(model_dir, robot_record, tmp_path):
 
 def test_histories_hold_every_delay_of_a_range(model_dir, robot_record, tmp_path):
     """Sensors and servos keep samples for the upper end of each range and some more; the others as before."""
+    measured = model_dir / "measurements_nominal.xml"
+    measured.write_text(measured.read_text().replace(' interp="linear"', ""))
     robot = robot_of(robot_record(), tmp_path)
     made, out = published([], model_dir, robot)
     model = load_model(out)
@@ -231,6 +233,28 @@ def test_a_declared_delay_has_no_range(model_dir, robot_record, tmp_path):
     assert "sensor.position_delay" not in made.calibration.ranges
     assert "sensor.position_delay" not in made.calibration.correlated
     assert read(load_model(out), "sensor.position_delay") == 0.0043
+
+
+def test_what_the_robots_logs_do_not_speak_of_stays_the_benchs(model_dir, fits, robot_record, tmp_path):
+    """A scale that was not excited replaces neither value nor range of the bench fit it stood on."""
+    record = robot_record(fits)
+    some = [replace(one, verdict="not excited") if one.name in ("mx106.gain_scale", "mx106.kp") else one
+            for one in record.estimates]  # fmt: skip
+    made, out = published(fits, model_dir, robot_of(replace(record, estimates=some), tmp_path))
+    assert read(load_model(out), "mx106.kp") == base_of(fits[0])["mx106.kp"]
+    assert "robot fit" not in made.calibration.ranges["mx106.kp"].origin
+    assert "mx106.kp: its logs do not speak of it" in made.xml
+    assert read(load_model(out), "mx106.damping") == 1.08 * base_of(fits[0])["mx106.damping"]
+
+
+def test_a_command_delay_below_a_step_is_named(model_dir, robot_record, tmp_path):
+    """MuJoCo acts on it as on a whole step, and the head of the model says so."""
+    record = robot_record()
+    some = [replace(one, value=0.0007, low=0.0, high=0.001) if one.name == "mx64.delay" else one
+            for one in record.estimates]  # fmt: skip
+    made, _ = published([], model_dir, robot_of(replace(record, estimates=some), tmp_path))
+    assert "mx64.delay = 0.7 ms: MuJoCo acts on it as on 2 ms" in made.xml
+    assert "mx106.delay = 37.1 ms: MuJoCo" not in made.xml
 
 
 def test_draws_move_together(model_dir, robot_record, tmp_path):
