@@ -1,0 +1,66 @@
+"""`frasa-sysid simulate --robot`: a log of a whole robot with known truth."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from frasa_sysid.calibration import say, sha256_of_file
+from frasa_sysid.commands.progress import shown_share
+from frasa_sysid.errors import UsageError
+from frasa_sysid.excitation import Excitation
+from frasa_sysid.excitation_file import read_excitation
+from frasa_sysid.excitation_hung import SHORTEST, design, first_sizes
+from frasa_sysid.robot_body import Joints, joints_of
+from frasa_sysid.robot_truth import Base, draw
+from frasa_sysid.simulate_robot import simulate_robot
+from frasa_sysid.writer import write_mcap
+
+MODEL = Path("robot_model/nominal.xml")
+SECONDS = 30.0
+LONGEST = 600.0  # [s]
+
+
+def add_robot_arguments(group: "argparse._ArgumentGroup") -> None:
+    """Give `simulate` the options of a robot; each is None when not given."""
+    group.add_argument("--base", choices=("fixed", "floating"), help="held by the trunk [fixed] or on its feet")
+    group.add_argument("--seconds", type=float, metavar="S", help=f"length [that of the excitation, {SECONDS:g}]")
+    group.add_argument("--excitation", type=Path, metavar="TRAJ", help="goals from `frasa-sysid excite`")
+    group.add_argument("--model", type=Path, metavar="XML", help=f"body of the robot [{MODEL}]")
+
+
+def run_robot(args: argparse.Namespace) -> dict[str, Any]:
+    """Simulate a robot and write its log.
+
+    Raises:
+        UsageError: a length that makes no sense, or an excitation of other joints.
+    """
+    seconds: float | None = args.seconds
+    base: Base = args.base or "fixed"
+    if seconds is not None and not 0.5 <= seconds <= LONGEST:
+        raise UsageError(f"--seconds {seconds}: expected 0.5 to {LONGEST:g}")
+    path = args.model or MODEL
+    joints = joints_of(path)
+    excitation = _excitation(args.excitation, joints, base, seconds)
+    truth = draw(base, args.seed or 0, joints.classes, joints.names)
+    length = excitation.seconds if seconds is None else seconds
+    with shown_share(f"robot, {length:g} s") as progress:
+        recording = simulate_robot(path, joints, truth, excitation, length, args.out.name, progress=progress)
+    write_mcap(args.out, [recording])
+    say(f"{args.out}: {length:g} s of a simulated robot ({base} base), seed {truth.seed}")
+    return {
+        "base": base,
+        "seconds": length,
+        "truth": dict(recording.truth),
+        "seed": truth.seed,
+        "outputs": {"log": args.out, "sha256": sha256_of_file(args.out)},
+    }
+
+
+def _excitation(path: Path | None, joints: Joints, base: Base, seconds: float | None) -> Excitation:
+    if path is None:
+        return design(joints, first_sizes(joints), max(seconds or SECONDS, SHORTEST))
+    excitation = read_excitation(path)
+    missing = sorted(set(joints.names) ^ set(excitation.joints))
+    if missing:
+        raise UsageError(f"{path}: its joints are not the model's: {', '.join(missing)}")
+    return excitation.for_joints(joints.names)
