@@ -9,17 +9,18 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from frasa_sysid import stored_fit
 from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.bootstrap import full_bootstrap
 from frasa_sysid.calibration import add_json_flag, load_model, say, servo_classes
 from frasa_sysid.calibration.friction import LAWS
 from frasa_sysid.choice import Choice, choose
+from frasa_sysid.claims import missing_of
 from frasa_sysid.commands.bench import Bench, add_bench_arguments, bench_model, load_bench, people_console
-from frasa_sysid.commands.publish import add_as_flag, publish_files
+from frasa_sysid.commands.publish import add_as_flag, load_fits, publish_files
 from frasa_sysid.effects import EFFECTS
 from frasa_sysid.errors import InterruptedRunError, UsageError
 from frasa_sysid.fit import RESTARTS, FitResult, fit
+from frasa_sysid.fit_json import read_json
 from frasa_sysid.fit_record import Extras, log_facts, save, to_json
 from frasa_sysid.identifiability import bench_findings, next_logs
 from frasa_sysid.problem import state_problem
@@ -240,7 +241,7 @@ def _check_publishable(args: argparse.Namespace, bench: Bench, out: Path) -> Non
     for path in sorted(out.parent.glob("*.json")):
         if path.name == out.name or path.name.endswith(".partial.json"):
             continue
-        if stored_fit.load(path).servo == bench.servo.name:
+        if read_json(path)[0].get("servo") == bench.servo.name:
             raise UsageError(f"--publish: {path} is a fit of {bench.servo.name} too; remove it, or give --out {path}")
 
 
@@ -254,8 +255,11 @@ def _publish(
         worst, runs = replay(model, result, extras.stand_in if as_m1 else None, session)
         say(f"{model_path} replays the {runs} runs within {worst * 1e3:.2g} mrad of the fit")
 
-    fits = [stored_fit.load(path) for path in find_fits(out.parent)]
-    return model_path, publish_files(fits, args.model, model_path, check, args.as_law)
+    fits, robot = load_fits(find_fits(out.parent))
+    if robot is not None and missing_of(robot, fits):
+        say("left out: the fit of the robot, which stood on an earlier fit of a bench; fit the robot again")
+        robot = None
+    return model_path, publish_files(fits, args.model, model_path, check, args.as_law, robot)
 
 
 def show(result: FitResult, extras: Extras) -> None:
