@@ -11,6 +11,7 @@ from frasa_sysid.excitation import Excitation
 from frasa_sysid.excitation_file import read_excitation
 from frasa_sysid.excitation_hung import SHORTEST, design
 from frasa_sysid.excitation_sizes import fitted_sizes
+from frasa_sysid.excitation_standing import design as standing
 from frasa_sysid.robot_body import Joints, joints_of
 from frasa_sysid.robot_truth import Base, draw
 from frasa_sysid.simulate_robot import simulate_robot
@@ -60,6 +61,8 @@ def run_robot(args: argparse.Namespace) -> dict[str, Any]:
 def _excitation(path: Path | None, model: Path, joints: Joints, base: Base, seconds: float | None) -> Excitation:
     if path is None:
         length = max(seconds or SECONDS, SHORTEST)
+        if base == "floating":
+            return standing(joints, length)
         with shown_share("excitation within limits") as progress:
             sizes, _ = fitted_sizes(model, joints, length, progress)
         return design(joints, sizes, length)
