@@ -13,12 +13,12 @@ import numpy as np
 from frasa_sysid.errors import UsageError
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.robot_candidate import Candidate
+from frasa_sysid.robot_numbers import COMMAND_DELAY
 from frasa_sysid.robot_rig import RobotRun
 
 GROUPS = ("delays", "zeros", "gain", "damping", "friction", "trunk")
 DEFAULT_GROUPS = GROUPS[:-1]
 AXES = ("x", "y", "z")
-COMMAND = "command.delay"
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class RobotProblem:
         one = Candidate()
         for free, value in zip(self.free, map(float, x), strict=True):
             owner, _, field = free.name.partition(".")
-            if free.name == COMMAND:
+            if free.name == COMMAND_DELAY:
                 one = replace(one, command_delay=value)
             elif owner == "sensor":
                 ages[field.removesuffix("_delay")] = value
@@ -146,7 +146,7 @@ def state_robot_problem(
         raise UsageError(f"--free {', '.join(unknown)}: expected {', '.join(GROUPS)}")
     free: list[FreeNumber] = []
     if "delays" in groups:
-        free.append(FreeNumber(COMMAND, DELAY, delays["command"]))
+        free.append(FreeNumber(COMMAND_DELAY, DELAY, delays["command"]))
         free += [FreeNumber(f"sensor.{name}_delay", DELAY, delays[name]) for name in _moving_channels(runs)]
     if "zeros" in groups:
         free += [FreeNumber(f"{joint}.zero", ZERO, 0.0) for joint in runs[0].joints]

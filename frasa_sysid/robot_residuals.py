@@ -7,7 +7,6 @@ a robot's velocities are a hundred times noisier than its positions, and neither
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
 
@@ -133,10 +132,10 @@ class Comparison:
         low = np.clip(np.floor(grid).astype(int), 0, len(states) - 2)
         part = (grid - low)[:, None]
         values = (1.0 - part) * states[low][:, columns] + part * states[low + 1][:, columns]
-        return tilt(values) if name == "orientation" else values
+        return tilt(values) if name == "orientation" else np.asarray(values, np.float64)
 
     def _measured(self, name: str, channel: Channel, rows: IntArray) -> FloatArray:
-        return tilt(channel.y[rows]) if name == "orientation" else channel.y[rows]
+        return tilt(channel.y[rows]) if name == "orientation" else np.asarray(channel.y[rows])
 
 
 def tilt(quaternions: FloatArray) -> FloatArray:
@@ -166,8 +165,3 @@ def _floor(channel: Channel, name: str, i: int) -> float:
         return least
     step = quantum(channel.y[:, i])
     return max(least, 0.29 * step if step else 0.0)
-
-
-def free_joint_address(model: mujoco.MjModel) -> int:
-    """Where the free joint's seven numbers begin in qpos; the residuals here expect 0."""
-    return int(model.jnt_qposadr[np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)[0]])

@@ -173,4 +173,4 @@ def _supply(recording: Recording, model: mujoco.MjModel, start: float, steps: in
     values = signal.y if signal.y.ndim == 1 else signal.y.mean(axis=1)
     if not (values > 0.0).all():
         raise LogError(f"{recording.name}: 'supply_voltage' reads {values.min():g} V; no servo runs on that")
-    return np.interp(start + (np.arange(steps) + 0.5) * timestep, signal.t, values)
+    return np.asarray(np.interp(start + (np.arange(steps) + 0.5) * timestep, signal.t, values))

@@ -10,6 +10,7 @@ import copy
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
 
@@ -48,7 +49,7 @@ def pieces_of(run: RobotRun, timestep: float, seconds: float, warm: float) -> li
     before = round(warm / timestep)
     count = max(round((run.steps - before) * timestep / seconds), 1)
     edges = np.linspace(before, run.steps - 1, count + 1).round().astype(int)
-    return [Piece(run, int(a) - before, int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return [Piece(run, int(a) - before, int(a), int(b)) for a, b in pairwise(edges)]
 
 
 class RobotSimulator:
@@ -112,11 +113,11 @@ class RobotSimulator:
     ) -> Iterator[tuple[int, int, FloatArray]]:
         steps = max(pieces[p].end - pieces[p].first for _, p in batch)
         commands = np.empty((len(batch), steps, self.model.nu))
-        for row, (c, p) in zip(commands, batch, strict=True):
+        for model, row, (c, p) in zip(self._pool, commands, batch, strict=False):
             piece, one = pieces[p], candidates[c]
             # The torque of a step makes the speed of its middle, so it acts half a step early.
             row[:] = delayed(piece.run.goal, piece.first, steps, one.command_delay / self.timestep + 0.5)
-            self._configure(self._pool[batch.index((c, p))], piece, one)
+            self._configure(model, piece, one)
         state = np.zeros((len(batch), mujoco.mj_stateSize(self.model, _STATE)))
         for row, (_, p) in zip(state, batch, strict=True):
             row[1 : 1 + starts[p].size] = starts[p]

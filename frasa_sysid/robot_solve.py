@@ -176,7 +176,7 @@ def covariance_of(problem: RobotProblem, linear: Linear) -> tuple[FloatArray, Fl
     scores -= scores.mean(axis=1, keepdims=True)
     sandwich = inverse @ (scores @ scores.T * count / max(count - 1, 1)) @ inverse
     # Neither may be narrower than the other says; correlations are those of the wider one.
-    base = sandwich if np.trace(sandwich / np.diag(inverse)) > x_size(inverse) else inverse
+    base = sandwich if np.trace(sandwich / np.diag(inverse)) > len(A) else inverse
     ratio = np.sqrt(np.maximum(np.diag(sandwich), np.diag(inverse)) / np.diag(base))
     covariance = base * np.outer(ratio, ratio) + _model_error(problem, A)
     seconds = max(len({int(one) for one in linear.layout.cluster}) // max(len(linear.layout.names), 1), 2)
@@ -194,11 +194,6 @@ def _model_error(problem: RobotProblem, A: FloatArray) -> FloatArray:
             shift[others] = -np.linalg.solve(A[np.ix_(others, others)], A[others, i]) * one.kind.trust
             total += np.outer(shift, shift)
     return total
-
-
-def x_size(matrix: FloatArray) -> int:
-    """Numbers a square matrix is about."""
-    return int(matrix.shape[0])
 
 
 def _cost(problem: RobotProblem, layout: Layout, residuals: FloatArray, units: FloatArray, x: FloatArray) -> float:
