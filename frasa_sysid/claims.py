@@ -143,13 +143,8 @@ def short_delays(claims: Claims, timestep: float) -> list[str]:
     ]
 
 
-def missing_of(robot: StoredRobotFit, benches: Sequence[StoredFit]) -> list[str]:
-    """The bench fits (sha256) that a robot's fit stood on and that are not among those given."""
-    return sorted(set(robot.frozen) - {one.sha256 for one in benches})
-
-
 def _check_frozen(benches: Sequence[StoredFit], robot: StoredRobotFit) -> None:
-    missing = missing_of(robot, benches)
+    missing = sorted(set(robot.frozen) - {one.sha256 for one in benches})
     if missing:
         raise CalibrationError(
             f"the robot fit {robot.sha256[:12]} stood on the bench fit {missing[0][:12]}, which is not among those "
