@@ -46,8 +46,8 @@ class Excitation:
 
     @property
     def seconds(self) -> float:
-        """Duration [s]."""
-        return float(self.t[-1])
+        """Duration [s]: the last goal is held for a period."""
+        return float(self.t[-1]) + PERIOD
 
     def for_joints(self, names: tuple[str, ...]) -> "Excitation":
         """The same with the joints in another order."""

@@ -3,6 +3,8 @@
 Everything a model says about servos, sensors and their delays is taken out: the simulation brings its own.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -116,7 +118,7 @@ def build(path: Path, truth: RobotTruth, joints: Joints, timestep: float) -> Bod
     trunk.inertia = trunk.inertia * truth.trunk_mass
     trunk.ipos = trunk.ipos + np.array(truth.trunk_com)
     if truth.base == "fixed":
-        _hold(spec, trunk, truth)
+        hold(spec, trunk, tilt_quaternion(truth.roll, truth.pitch))
     armature = {name: truth.servo(name).armature for name in joints.classes}
     for name, servo in zip(joints.names, joints.servos, strict=True):
         spec.joint(name).armature = armature[servo]
@@ -130,19 +132,29 @@ def build(path: Path, truth: RobotTruth, joints: Joints, timestep: float) -> Bod
     return Body(model, qpos, dof, _start(path, model, qpos, joints), float(body.mass[0]), (com[0], com[1], com[2]))
 
 
-def _hold(spec: Any, trunk: Any, truth: RobotTruth) -> None:  # noqa: ANN401 (mujoco's own types)
+def hold(spec: Any, trunk: Any, orientation: Sequence[float]) -> None:  # noqa: ANN401 (mujoco's own types)
+    """Fix a specification's trunk in the air and take away the floor.
+
+    Args:
+        spec: changed in place.
+        trunk: its body with the free joint.
+        orientation: of the trunk (w, x, y, z).
+    """
     for joint in list(trunk.joints):
         spec.delete(joint)
     trunk.pos = [0.0, 0.0, HEIGHT]
-    trunk.quat = tilt_quaternion(truth.roll, truth.pitch)
+    trunk.quat = orientation
+    # MuJoCo lets a body pass through its parent only while the parent moves.
+    for child in list(trunk.bodies):
+        spec.add_exclude(bodyname1=trunk.name, bodyname2=child.name)
     for geom in list(spec.worldbody.geoms):
         spec.delete(geom)
 
 
-def tilt_quaternion(roll: float, pitch: float) -> FloatArray:
+def tilt_quaternion(roll: float, pitch: float) -> tuple[float, float, float, float]:
     """Rotation about x, then about the world's y [rad] -> (w, x, y, z)."""
-    cr, sr, cp, sp = np.cos(roll / 2), np.sin(roll / 2), np.cos(pitch / 2), np.sin(pitch / 2)
-    return np.array([cp * cr, cp * sr, sp * cr, -sp * sr])
+    cr, sr, cp, sp = math.cos(roll / 2), math.sin(roll / 2), math.cos(pitch / 2), math.sin(pitch / 2)
+    return cp * cr, cp * sr, sp * cr, -sp * sr
 
 
 def _start(path: Path, model: Any, qpos: IntArray, joints: Joints) -> FloatArray:  # noqa: ANN401

@@ -74,6 +74,7 @@ class Traces:
         rate: angular, trunk frame [rad/s], shape (T, 3).
         volts: supply [V], shape (T,).
         motor: motor torque [N m], shape (T, n).
+        touching: share of the steps with a contact.
     """
 
     t: FloatArray
@@ -84,6 +85,7 @@ class Traces:
     rate: FloatArray
     volts: FloatArray
     motor: FloatArray
+    touching: float
 
 
 def servos_of(truth: RobotTruth, joints: Joints) -> Servos:
@@ -144,7 +146,7 @@ def simulate(
     angle, speed, motors = np.empty((steps, n)), np.empty((steps, n)), np.empty((steps, n))
     orientation, rate, volts = np.empty((steps, 4)), np.zeros((steps, 3)), np.empty(steps)
     floating = truth.base == "floating"
-    supply, duty, contact = truth.open_voltage, np.zeros(n), np.zeros(n)
+    supply, duty, contact, touched = truth.open_voltage, np.zeros(n), np.zeros(n), 0
     torque_per_volt, back_emf = servos.kt / servos.R, servos.kt**2 / servos.R
     half_damping = (servos.viscous + back_emf) / 2.0
     for k in range(steps):
@@ -163,6 +165,7 @@ def simulate(
         if floating:
             orientation[k], rate[k] = data.qpos[3:7], data.qvel[3:6]
         mujoco.mj_step2(model, data)
+        touched += data.ncon > 0
         # What the floor does to a joint, of the step before: contacts and friction are solved together.
         contact = data.qfrc_constraint[body.dof] - data.efc_force[:n]
         # Each servo draws the share of its winding's current for which the bridge is on.
@@ -172,7 +175,7 @@ def simulate(
             progress(k / steps)
     if not floating:
         orientation[:] = data.xquat[model.body(joints.trunk).id]
-    return Traces(t, t - h / 2.0, angle, speed, orientation, rate, volts, motors)
+    return Traces(t, t - h / 2.0, angle, speed, orientation, rate, volts, motors, touched / steps)
 
 
 def _ready(body: Body, servos: Servos, goal: FloatArray) -> mujoco.MjData:

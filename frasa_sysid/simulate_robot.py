@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator
 
+from frasa_sysid.errors import QualityError
 from frasa_sysid.excitation import Excitation
 from frasa_sysid.recording import Recording, RigFacts, Signal
 from frasa_sysid.robot_body import Body, Joints, build
@@ -24,6 +25,7 @@ SPEED_COUNT = 0.114 * 2.0 * np.pi / 60.0  # [rad/s]
 GYRO_COUNT = np.radians(2000.0) / 2**15  # [rad/s] 16 bit at 2000 deg/s
 VOLTAGE_COUNT = 0.1  # [V] Present Voltage
 WRITE_AFTER = 0.001  # [s] from reading the joints to writing the goals of a cycle
+UPRIGHT = 0.7  # cosine of the trunk's tilt
 SETTLE = 1.5  # [s] at the first goal before the log begins
 
 
@@ -86,6 +88,9 @@ def simulate_robot(
         wiring: of its computer.
         timestep: of the physics [s].
         progress: called now and then with the share done.
+
+    Raises:
+        QualityError: a robot on its feet fell.
     """
     body = build(path, truth, joints, timestep)
     rngs = [np.random.default_rng((truth.seed, 100 + i)) for i in range(5)]
@@ -93,6 +98,7 @@ def simulate_robot(
     written = reads + WRITE_AFTER
     goals = _counted(excitation.at(written), ENCODER_COUNT, wiring.quantized)
     traces = simulate(body, joints, truth, written, goals, seconds, wiring.quantized, progress)
+    _check_upright(truth, traces, seconds)
     signals = {
         **_joint_signals(rngs[1], joints, truth, wiring, traces, reads),
         **_goal_signal(rngs[2], joints, wiring, written, goals),
@@ -100,6 +106,14 @@ def simulate_robot(
         **_battery_signal(rngs[4], wiring, traces, seconds),
     }
     return _recording(source, path, joints, body, truth, excitation, signals)
+
+
+def _check_upright(truth: RobotTruth, traces: Traces, seconds: float) -> None:
+    x, y = traces.orientation[:, 1], traces.orientation[:, 2]
+    fallen = np.flatnonzero(1.0 - 2.0 * (x**2 + y**2) < UPRIGHT)
+    if fallen.size and truth.base == "floating":
+        when = traces.t[fallen[0]]
+        raise QualityError(f"the simulated robot (seed {truth.seed}) fell at {when:.2f} s of {seconds:g} s; no log")
 
 
 def _recording(

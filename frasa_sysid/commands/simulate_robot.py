@@ -9,7 +9,9 @@ from frasa_sysid.commands.progress import shown_share
 from frasa_sysid.errors import UsageError
 from frasa_sysid.excitation import Excitation
 from frasa_sysid.excitation_file import read_excitation
-from frasa_sysid.excitation_hung import SHORTEST, design, first_sizes
+from frasa_sysid.excitation_hung import SHORTEST, design
+from frasa_sysid.excitation_sizes import fitted_sizes
+from frasa_sysid.excitation_standing import design as standing
 from frasa_sysid.robot_body import Joints, joints_of
 from frasa_sysid.robot_truth import Base, draw
 from frasa_sysid.simulate_robot import simulate_robot
@@ -40,7 +42,7 @@ def run_robot(args: argparse.Namespace) -> dict[str, Any]:
         raise UsageError(f"--seconds {seconds}: expected 0.5 to {LONGEST:g}")
     path = args.model or MODEL
     joints = joints_of(path)
-    excitation = _excitation(args.excitation, joints, base, seconds)
+    excitation = _excitation(args.excitation, path, joints, base, seconds)
     truth = draw(base, args.seed or 0, joints.classes, joints.names)
     length = excitation.seconds if seconds is None else seconds
     with shown_share(f"robot, {length:g} s") as progress:
@@ -56,9 +58,14 @@ def run_robot(args: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _excitation(path: Path | None, joints: Joints, base: Base, seconds: float | None) -> Excitation:
+def _excitation(path: Path | None, model: Path, joints: Joints, base: Base, seconds: float | None) -> Excitation:
     if path is None:
-        return design(joints, first_sizes(joints), max(seconds or SECONDS, SHORTEST))
+        length = max(seconds or SECONDS, SHORTEST)
+        if base == "floating":
+            return standing(joints, length)
+        with shown_share("excitation within limits") as progress:
+            sizes, _ = fitted_sizes(model, joints, length, progress)
+        return design(joints, sizes, length)
     excitation = read_excitation(path)
     missing = sorted(set(joints.names) ^ set(excitation.joints))
     if missing:
