@@ -28,11 +28,14 @@ class Instead:
 
     Attributes:
         value: of the bench.
+        low, high: the widest it tells of it.
         unit: of it.
         sha256: of the bench fit.
     """
 
     value: float
+    low: float
+    high: float
     unit: str
     sha256: str
 
@@ -179,7 +182,8 @@ def _check_standing(owners: dict[str, StoredFit], robot: StoredRobotFit) -> None
 
 def _instead(bench: StoredFit, name: str) -> Instead:
     one = bench.parameters[name]
-    return Instead(float(one["value"]), one["unit"], bench.sha256)
+    low, high = min(one["low"], one["spread_low"]), max(one["high"], one["spread_high"])
+    return Instead(float(one["value"]), float(low), float(high), one["unit"], bench.sha256)
 
 
 def _rest(stored: StoredFit, robot: StoredRobotFit, instead: dict[str, Instead]) -> StoredFit:
