@@ -28,11 +28,14 @@ class Instead:
 
     Attributes:
         value: of the bench.
+        low, high: the widest it tells of it.
         unit: of it.
         sha256: of the bench fit.
     """
 
     value: float
+    low: float
+    high: float
     unit: str
     sha256: str
 
@@ -143,13 +146,8 @@ def short_delays(claims: Claims, timestep: float) -> list[str]:
     ]
 
 
-def missing_of(robot: StoredRobotFit, benches: Sequence[StoredFit]) -> list[str]:
-    """The bench fits (sha256) that a robot's fit stood on and that are not among those given."""
-    return sorted(set(robot.frozen) - {one.sha256 for one in benches})
-
-
 def _check_frozen(benches: Sequence[StoredFit], robot: StoredRobotFit) -> None:
-    missing = missing_of(robot, benches)
+    missing = sorted(set(robot.frozen) - {one.sha256 for one in benches})
     if missing:
         raise CalibrationError(
             f"the robot fit {robot.sha256[:12]} stood on the bench fit {missing[0][:12]}, which is not among those "
@@ -184,7 +182,8 @@ def _check_standing(owners: dict[str, StoredFit], robot: StoredRobotFit) -> None
 
 def _instead(bench: StoredFit, name: str) -> Instead:
     one = bench.parameters[name]
-    return Instead(float(one["value"]), one["unit"], bench.sha256)
+    low, high = min(one["low"], one["spread_low"]), max(one["high"], one["spread_high"])
+    return Instead(float(one["value"]), float(low), float(high), one["unit"], bench.sha256)
 
 
 def _rest(stored: StoredFit, robot: StoredRobotFit, instead: dict[str, Instead]) -> StoredFit:

@@ -33,7 +33,7 @@ def ranges_of(claims: Claims, key: str, rooms: Mapping[str, float]) -> Calibrati
         index = [i for i, name in enumerate(stored.correlated) if name in known]
         blocks.append((tuple(stored.correlated[i] for i in index), stored.correlation[np.ix_(index, index)]))
     if claims.robot is not None:
-        told = robot_ranges(claims.robot)
+        told = robot_ranges(claims.robot, claims.instead)
         ranges.update(told)
         blocks.append(robot_block(claims.robot, told))
     ranges.update(_supply(claims))

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from frasa_sysid.calibration import Range, parameter
+from frasa_sysid.claims import Instead
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.robot_numbers import makes
 from frasa_sysid.stored_robot_fit import StoredRobotFit, speaks_of
@@ -20,12 +21,18 @@ _LEAST = {"stribeck_speed": 0.01, "mass": LEAST_MASS}  # the law divides by the 
 Block = tuple[tuple[str, ...], FloatArray]
 
 
-def robot_ranges(robot: StoredRobotFit) -> dict[str, Range]:
+def robot_ranges(robot: StoredRobotFit, instead: Mapping[str, Instead]) -> dict[str, Range]:
     """The range of every number that the logs speak of, by parameter name.
 
     What was not excited or was declared has its place in the model, but no measured range.
+
+    Args:
+        robot: the fit.
+        instead: numbers of the bench fits that it replaced. What was scaled is known no better than its base.
     """
-    return {name: _range(robot, name, one) for name, one in robot.published.items() if speaks_of(one)}
+    return {
+        name: _range(robot, name, one, instead.get(name)) for name, one in robot.published.items() if speaks_of(one)
+    }
 
 
 def robot_block(robot: StoredRobotFit, ranges: Mapping[str, Range]) -> Block:
@@ -43,7 +50,7 @@ def robot_block(robot: StoredRobotFit, ranges: Mapping[str, Range]) -> Block:
     return tuple(names), robot.correlation[np.ix_(rows, rows)]
 
 
-def _range(robot: StoredRobotFit, name: str, one: Mapping[str, Any]) -> Range:
+def _range(robot: StoredRobotFit, name: str, one: Mapping[str, Any], bench: Instead | None) -> Range:
     value, known = float(one["value"]), parameter(name)
     floor, words = _floor(name, value)
     low, high = min(one["spread_low"], value - floor), max(one["spread_high"], value + floor)
@@ -51,6 +58,10 @@ def _range(robot: StoredRobotFit, name: str, one: Mapping[str, Any]) -> Range:
         f"robot fit {robot.sha256[:12]} of {robot.origin} logs, base {robot.base}, {one['verdict']}: 95 % interval, "
         f"joined with spread and bootstrap over logs, at least +-{words}"
     )
+    if bench is not None and known.field != "delay" and bench.value > 0.0:
+        scale = value / bench.value
+        low, high = min(low, scale * bench.low), max(high, scale * bench.high)
+        origin += f"; joined with the range of bench fit {bench.sha256[:12]}, scaled by {scale:.4g}"
     if known.field == "delay" and robot.delay_jitter is not None:
         early, late = min(robot.delay_jitter[0], 0.0), max(robot.delay_jitter[1], 0.0)
         low, high = low + early, high + late

@@ -9,16 +9,17 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from frasa_sysid import published_as
 from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.bootstrap import full_bootstrap
 from frasa_sysid.calibration import add_json_flag, load_model, say, servo_classes
 from frasa_sysid.calibration.friction import LAWS
 from frasa_sysid.choice import Choice, choose
-from frasa_sysid.claims import missing_of
+from frasa_sysid.claims import settle
 from frasa_sysid.commands.bench import Bench, add_bench_arguments, bench_model, load_bench, people_console
 from frasa_sysid.commands.publish import add_as_flag, load_fits, publish_files
 from frasa_sysid.effects import EFFECTS
-from frasa_sysid.errors import InterruptedRunError, UsageError
+from frasa_sysid.errors import CalibrationError, InterruptedRunError, UsageError
 from frasa_sysid.fit import RESTARTS, FitResult, fit
 from frasa_sysid.fit_json import read_json
 from frasa_sysid.fit_record import Extras, log_facts, save, to_json
@@ -256,8 +257,12 @@ def _publish(
         say(f"{model_path} replays the {runs} runs within {worst * 1e3:.2g} mrad of the fit")
 
     fits, robot = load_fits(find_fits(out.parent))
-    if robot is not None and missing_of(robot, fits):
-        say("left out: the fit of the robot, which stood on an earlier fit of a bench; fit the robot again")
+    try:
+        settle([published_as.as_m1(one) for one in fits] if args.as_law == "m1" else fits, robot)
+    except CalibrationError as error:
+        if robot is None:
+            raise
+        say(f"the fit of the robot is left out: {error}")
         robot = None
     return model_path, publish_files(fits, args.model, model_path, check, args.as_law, robot)
 

@@ -224,6 +224,18 @@ def test_ranges_have_floors_and_words(model_dir, robot_record, tmp_path):
     assert "robot fit" in ranges["supply_voltage"].origin
 
 
+def test_what_was_scaled_is_known_no_better_than_its_base(model_dir, fits, on_benches):
+    """A narrow scale of a number that the bench knew roughly leaves it roughly known; a delay is found anew."""
+    ranges = published(fits, model_dir, on_benches)[0].calibration.ranges
+    for name in ("mx106.stribeck", "mx106.load_motor"):
+        one, bench = ranges[name], fits[0].parameters[name]
+        assert one.low <= 1.25 * min(bench["low"], bench["spread_low"]) < one.value
+        assert one.high >= 1.25 * max(bench["high"], bench["spread_high"]) > one.value
+        assert "scaled by 1.25" in one.origin
+    assert ranges["mx106.delay"].low > 0.035
+    assert "bench fit" not in ranges["mx106.delay"].origin
+
+
 def test_a_declared_delay_has_no_range(model_dir, robot_record, tmp_path):
     """What was not fitted but fixed stands in the model and is not drawn."""
     record = robot_record()
