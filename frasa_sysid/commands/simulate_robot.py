@@ -1,6 +1,8 @@
 """`frasa-sysid simulate --robot`: a log of a whole robot with known truth."""
 
 import argparse
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ from frasa_sysid.writer import write_mcap
 
 MODEL = Path("robot_model/nominal.xml")
 SECONDS = 30.0
+TILT = ("roll", "pitch")
 LONGEST = 600.0  # [s]
 
 
@@ -29,6 +32,8 @@ def add_robot_arguments(group: "argparse._ArgumentGroup") -> None:
         "--base", choices=("fixed", "floating", "both"), help="held by the trunk [fixed], on its feet, or a run of each"
     )
     group.add_argument("--seconds", type=float, metavar="S", help=f"length [that of the excitation, {SECONDS:g}]")
+    group.add_argument("--roll", type=float, metavar="DEG", help="of a held trunk; by default a few degrees at random")
+    group.add_argument("--pitch", type=float, metavar="DEG", help="likewise, positive forward")
     group.add_argument("--excitation", type=Path, metavar="TRAJ", help="goals from `frasa-sysid excite`")
     group.add_argument("--model", type=Path, metavar="XML", help=f"body of the robot [{MODEL}]")
 
@@ -45,6 +50,10 @@ def run_robot(args: argparse.Namespace) -> dict[str, Any]:
     bases: tuple[Base, ...] = ("fixed", "floating") if args.base == "both" else (args.base or "fixed",)
     if args.excitation is not None and len(bases) > 1:
         raise UsageError("--excitation is for one base, not for --base both")
+    for name in TILT:
+        angle = getattr(args, name)
+        if angle is not None and (bases == ("floating",) or not abs(angle) <= 180.0):
+            raise UsageError(f"--{name} {angle}: expected degrees, -180 to 180, of a held trunk (--base fixed)")
     path = args.model or MODEL
     joints = joints_of(path)
     recordings = [_run(args, path, joints, base, f"{args.out.name}#{i:02d}") for i, base in enumerate(bases)]
@@ -63,6 +72,9 @@ def run_robot(args: argparse.Namespace) -> dict[str, Any]:
 def _run(args: argparse.Namespace, path: Path, joints: Joints, base: Base, name: str) -> Recording:
     excitation = _excitation(args.excitation, path, joints, base, args.seconds)
     truth = draw(base, args.seed or 0, joints.classes, joints.names)
+    roll = truth.roll if args.roll is None else math.radians(args.roll)
+    pitch = truth.pitch if args.pitch is None else math.radians(args.pitch)
+    truth = replace(truth, roll=roll, pitch=pitch)
     length = excitation.seconds if args.seconds is None else args.seconds
     with shown_share(f"robot, base {base}, {length:g} s") as progress:
         return simulate_robot(path, joints, truth, excitation, length, name, progress=progress)

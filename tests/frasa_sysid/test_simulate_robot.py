@@ -209,6 +209,8 @@ def test_command_line(robot_model_dir, tmp_path, capsys):
     assert command(*base, "--seed", 4, "--seconds", 0.5, "--json") == 0
     told = json.loads(capsys.readouterr().out)
     assert told["truth"]["mx106.delay"] == read_log(out, "auto")[0].truth["mx106.delay"]
+    assert command(*base, "--pitch", 80) == 2
+    assert "--pitch 80.0" in capsys.readouterr().err
     assert command(*base, "--duty-age", 0.01) == 2
     assert "belongs to --servo" in capsys.readouterr().err
     assert command("simulate", "--servo", "mx64", "--out", out, "--base", "fixed") == 2
