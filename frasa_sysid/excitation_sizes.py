@@ -1,6 +1,6 @@
 """Amplitudes at which the nominal robot keeps within its limits and does not touch itself."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +23,11 @@ SIZE_OF = {"multisine": "quick", "steps": "step", "ramps": "swing", "holds": "sw
 
 
 def fitted_sizes(
-    path: Path, joints: Joints, seconds: float, progress: Callable[[float], None] = lambda share: None
+    path: Path,
+    joints: Joints,
+    seconds: float,
+    progress: Callable[[float], None] = lambda share: None,
+    moving: Sequence[str] | None = None,
 ) -> tuple[Sizes, Trial]:
     """Try, and make smaller what asks too much.
 
@@ -32,6 +36,7 @@ def fitted_sizes(
         joints: of the model.
         seconds: duration of the excitation.
         progress: called with the share of the rounds that may be needed.
+        moving: joints that may move; by default all.
 
     Returns:
         Amplitudes, and the trial that they passed.
@@ -40,6 +45,9 @@ def fitted_sizes(
         QualityError: none were found.
     """
     sizes = first_sizes(joints)
+    if moving is not None:
+        free = np.isin(joints.names, list(moving))
+        sizes = replace(sizes, swing=sizes.swing * free, quick=sizes.quick * free, step=sizes.step * free)
     for i in range(ROUNDS):
         excitation = design(joints, sizes, seconds)
         trial = try_out(path, joints, excitation)

@@ -39,9 +39,19 @@ class Trial:
     apart: FloatArray
 
 
-def held_model(path: Path) -> Any:  # noqa: ANN401 (mujoco's own type)
-    """The model of a file with its servos, its trunk fixed in the air and no floor."""
+def held_model(path: Path, plain: bool = False) -> Any:  # noqa: ANN401 (mujoco's own type)
+    """The model of a file with its servos, its trunk fixed in the air and no floor.
+
+    Args:
+        path: the model.
+        plain: without sensors and command delays.
+    """
     spec = mujoco.MjSpec.from_file(str(path))
+    if plain:
+        for sensor in list(spec.sensors):
+            spec.delete(sensor)
+        for actuator in spec.actuators:
+            actuator.delay, actuator.nsample = 0.0, 0
     for key in list(spec.keys):
         spec.delete(key)
     for joint in list(spec.joints):

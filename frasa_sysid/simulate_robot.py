@@ -84,7 +84,7 @@ def simulate_robot(
         truth: the robot.
         excitation: goals that are sent.
         seconds: length of the log.
-        source: file name that the recording will stand in.
+        source: name of the recording.
         wiring: of its computer.
         timestep: of the physics [s].
         progress: called now and then with the share done.
