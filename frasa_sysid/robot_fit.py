@@ -27,7 +27,7 @@ from frasa_sysid.robot_simulator import RobotSimulator, pieces_of
 from frasa_sysid.robot_solve import Settled, Stack, Tell, covariance_of, settle_robot
 from frasa_sysid.stored_fit import StoredFit
 
-PIECE: dict[Base, float] = {"fixed": 2.0, "floating": 0.8}  # [s] compared; on the ground small errors grow
+PIECE: dict[Base, float] = {"fixed": 2.0, "floating": 1.0}  # [s] compared; on the ground small errors grow
 WARM: dict[Base, float] = {"fixed": 0.3, "floating": 0.25}  # [s] before, for the start's errors to die out
 _SILENT = 0.7  # of the prior's width that an interval must stay below to say anything
 _TOGETHER = 0.95  # correlation beyond which only a combination is known
@@ -54,8 +54,9 @@ class RobotFit:
     Attributes:
         problem: what was asked.
         settled: where it ended.
-        covariance: (n, n), and `half`: half-widths of 95 % intervals, (n,).
-        half: see there.
+        logged: covariance by the logs alone, (n, n): which numbers they cannot tell apart.
+        covariance: with what the model gets wrong, (n, n).
+        half: half-widths of 95 % intervals, (n,).
         errors: by `nominal`, `fitted` and `held_out`, by channel: mean absolute and root mean square error.
         timestep: of the model [s].
         seconds: wall clock.
@@ -63,6 +64,7 @@ class RobotFit:
 
     problem: RobotProblem
     settled: Settled
+    logged: FloatArray
     covariance: FloatArray
     half: FloatArray
     errors: dict[str, dict[str, tuple[float, float]]]
@@ -71,8 +73,8 @@ class RobotFit:
 
     def estimates(self) -> tuple[RobotEstimate, ...]:
         """Every free number as the model takes it, with interval, verdict and what to record next."""
-        sd = np.sqrt(np.diag(self.covariance))
-        correlation = np.abs(self.covariance / np.outer(sd, sd)) - np.eye(sd.size)
+        sd = np.sqrt(np.diag(self.logged))
+        correlation = np.abs(self.logged / np.outer(sd, sd)) - np.eye(sd.size)
         found = []
         for i, (free, value, half) in enumerate(zip(self.problem.free, self.settled.x, self.half, strict=True)):
             partner = self.problem.free[int(np.argmax(correlation[i]))].name
@@ -147,13 +149,13 @@ def fit_robot(
         problem = state_robot_problem(runs, servo_classes(model), delays, float(trunk), groups, seed)
         fitted, held = _comparisons(simulators, runs, hold_out)
         settled = settle_robot(problem, Stack(fitted), start, tell, keep)
-        covariance, half = covariance_of(problem, settled.linear)
+        logged, covariance, half = covariance_of(problem, settled.linear)
         points = {"nominal": problem.start(), "fitted": settled.x}
         errors = {name: _errors(problem, fitted, x) for name, x in points.items()}
         if held:
             errors |= {f"held_out_{name}": _errors(problem, held, x) for name, x in points.items()}
         timestep = float(model.opt.timestep)
-    return RobotFit(problem, settled, covariance, half, errors, timestep, time.monotonic() - began)
+    return RobotFit(problem, settled, logged, covariance, half, errors, timestep, time.monotonic() - began)
 
 
 def model_delays(model: mujoco.MjModel, position_delay: float) -> dict[str, float]:

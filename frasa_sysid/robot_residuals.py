@@ -149,7 +149,7 @@ def tilt(quaternions: FloatArray) -> FloatArray:
 def noise_units(residuals: FloatArray, layout: Layout) -> FloatArray:
     """Robust size of each noise group's residuals, no less than its floor, shape (groups,)."""
     sizes = np.array([1.4826 * np.median(np.abs(residuals[layout.column == i])) for i in range(len(layout.names))])
-    return np.maximum(sizes, layout.floors)
+    return np.asarray(np.maximum(sizes, layout.floors))
 
 
 def _labels(piece: Piece, name: str, channel: Channel, width: int) -> list[str]:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -20,6 +21,7 @@ from mujoco import rollout
 
 from frasa_sysid.calibration import load_model, servo_law
 from frasa_sysid.recording import FloatArray
+from frasa_sysid.robot_body import hold
 from frasa_sysid.robot_candidate import Candidate, Writer
 from frasa_sysid.robot_rig import Base, RobotRun
 from frasa_sysid.robot_start import gravity_of, start_states
@@ -57,7 +59,7 @@ class RobotSimulator:
 
     Args:
         model_path: the robot, frozen fits applied.
-        base: `fixed`: the trunk stays where it is and nothing touches anything; or `floating`.
+        base: `fixed`: the trunk stays where it is, away from the floor; or `floating`.
         threads: by default one per core.
     """
 
@@ -148,7 +150,7 @@ def delayed(goal: FloatArray, first: int, steps: int, late: float) -> FloatArray
 
 
 def bare_model(path: Path, base: Base) -> mujoco.MjModel:
-    """The robot without sensors, history and key frames; with a fixed base also without free joint and contacts."""
+    """The robot without sensors, history and key frames; with a fixed base also without free joint and floor."""
     load_model(path)  # one clear line for what cannot be compiled; installs the friction law
     spec = mujoco.MjSpec.from_file(str(path))
     for one in [*spec.keys, *spec.sensors]:
@@ -156,16 +158,15 @@ def bare_model(path: Path, base: Base) -> mujoco.MjModel:
     for actuator in spec.actuators:
         actuator.delay, actuator.nsample = 0.0, 0
     if base == "fixed":
-        for joint in [one for one in spec.joints if one.type == mujoco.mjtJoint.mjJNT_FREE]:
-            spec.delete(joint)
+        hold(spec, next(body for body in spec.bodies if _is_free(body)), (1.0, 0.0, 0.0, 0.0))
     model = spec.compile()
-    if base == "fixed":
-        for geom in range(model.ngeom):
-            if model.geom_bodyid[geom] == 0:
-                model.geom_contype[geom] = model.geom_conaffinity[geom] = 0
     if servo_law.has_law(model):
         servo_law.install()
     return model
+
+
+def _is_free(body: Any) -> bool:  # noqa: ANN401 (mujoco's own type)
+    return any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
 
 
 def _free_joint(model: mujoco.MjModel) -> int:

@@ -166,8 +166,8 @@ def normal_equations(problem: RobotProblem, linear: Linear) -> tuple[FloatArray,
     return A, weighted @ linear.residuals + precision * (linear.x - problem.start())
 
 
-def covariance_of(problem: RobotProblem, linear: Linear) -> tuple[FloatArray, FloatArray]:
-    """Covariance (n, n), and half-widths of 95 % intervals, (n,)."""
+def covariance_of(problem: RobotProblem, linear: Linear) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Covariance by the logs alone, with what the model gets wrong, (n, n) each, and half-widths at 95 %, (n,)."""
     A, _ = normal_equations(problem, linear)
     inverse = np.linalg.inv(A)
     count = int(linear.layout.cluster.max()) + 1
@@ -178,10 +178,11 @@ def covariance_of(problem: RobotProblem, linear: Linear) -> tuple[FloatArray, Fl
     # Neither may be narrower than the other says; correlations are those of the wider one.
     base = sandwich if np.trace(sandwich / np.diag(inverse)) > len(A) else inverse
     ratio = np.sqrt(np.maximum(np.diag(sandwich), np.diag(inverse)) / np.diag(base))
-    covariance = base * np.outer(ratio, ratio) + _model_error(problem, A)
+    logged = base * np.outer(ratio, ratio)
+    covariance = logged + _model_error(problem, A)
     seconds = max(len({int(one) for one in linear.layout.cluster}) // max(len(linear.layout.names), 1), 2)
     quantile = float(stats.t.ppf(0.975, max(seconds - 1, 2)))
-    return covariance, quantile * np.sqrt(np.diag(covariance))
+    return logged, covariance, quantile * np.sqrt(np.diag(covariance))
 
 
 def _model_error(problem: RobotProblem, A: FloatArray) -> FloatArray:

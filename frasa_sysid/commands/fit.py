@@ -16,7 +16,8 @@ from frasa_sysid.calibration import add_json_flag, load_model, say, servo_classe
 from frasa_sysid.calibration.friction import LAWS
 from frasa_sysid.choice import Choice, choose
 from frasa_sysid.claims import settle
-from frasa_sysid.commands.bench import Bench, add_bench_arguments, bench_model, load_bench, people_console
+from frasa_sysid.commands.bench import Bench, add_bench_arguments, bench_model, load_bench, people_console, read_logs
+from frasa_sysid.commands.fit_robot import add_robot_arguments, fit_robot_logs, is_robot
 from frasa_sysid.commands.publish import add_as_flag, load_fits, publish_files
 from frasa_sysid.effects import EFFECTS
 from frasa_sysid.errors import CalibrationError, InterruptedRunError, UsageError
@@ -73,6 +74,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("--out", type=Path, metavar="FIT", help="fit file [fits/SERVO.json beside --model]")
     parser.add_argument("--publish", action="store_true", help="write calibrated.xml and randomization.yaml")
     add_as_flag(parser)
+    add_robot_arguments(parser)
     parser.add_argument("--no-report", action="store_true", help="leave out the HTML page")
     add_json_flag(parser)
     parser.set_defaults(run=run)
@@ -87,7 +89,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         InterruptedRunError: Ctrl-C; the best so far was saved.
     """
     effects = _checked(args)
-    bench = load_bench(args, args.hold_out)
+    recordings = read_logs(args)
+    if any(is_robot(one) for one in recordings):
+        return fit_robot_logs(args, recordings)
+    bench = load_bench(args, args.hold_out, recordings)
     out = args.out or args.model.parent / "fits" / f"{bench.servo.name}.json"
     if out.suffix != ".json":
         raise UsageError(f"--out {out}: expected a name that ends in .json")
