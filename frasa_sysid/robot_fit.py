@@ -30,7 +30,8 @@ from frasa_sysid.stored_fit import StoredFit
 
 _SILENT = 0.7  # of the prior's width that an interval must stay below to say anything
 _TOGETHER = 0.95  # correlation beyond which only a combination is known
-_HALF_STEP = {COMMAND_DELAY: 0.5, "sensor.velocity_delay": -0.5, "sensor.gyro_delay": -0.5}
+# [steps] that a model's delay is longer than the physical one
+HALF_STEP = {COMMAND_DELAY: 0.5, "sensor.velocity_delay": -0.5, "sensor.gyro_delay": -0.5}
 
 RECORD = {
     "command.delay": "quick changes of the goals (frasa-sysid excite), at 100 Hz or more",
@@ -78,7 +79,7 @@ class RobotFit:
         for i, (free, value, half) in enumerate(zip(self.problem.free, self.settled.x, self.half, strict=True)):
             partner = self.problem.free[int(np.argmax(correlation[i]))].name
             verdict = _verdict(free, float(value), float(half), float(correlation[i].max()), partner)
-            shift = _HALF_STEP.get(free.name, 0.0) * self.timestep
+            shift = HALF_STEP.get(free.name, 0.0) * self.timestep
             # What a zero or a shift is cannot be bounded by what a delay or a scale must be.
             low, high = max(value - half, free.kind.low), min(value + half, free.kind.high)
             least = 0.0 if free.kind.low >= 0.0 else -np.inf

@@ -24,6 +24,7 @@ from frasa_sysid.recording import FloatArray, Recording
 from frasa_sysid.robot_fit import RobotFit, fit_robot
 from frasa_sysid.robot_fit_record import Interval, RobotFitRecord, base_numbers, with_products
 from frasa_sysid.robot_problem import DEFAULT_GROUPS, GROUPS
+from frasa_sysid.robot_rig import is_robot
 from frasa_sysid.stored_fit import StoredFit
 
 SUM_ONLY = (
@@ -35,19 +36,23 @@ SUM_ONLY = (
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
     """What only logs of the whole robot need."""
     group = parser.add_argument_group("logs of the whole robot")
-    group.add_argument("--base", choices=("fixed", "floating"), help="trunk held, or robot on the ground [as logged]")
+    add_base_argument(group)
     group.add_argument("--free", metavar="LIST", help=f"of {', '.join(GROUPS)} [{','.join(DEFAULT_GROUPS)}]")
     group.add_argument("--position-delay", type=float, default=0.0, metavar="S", help="age of a joint position [0]")
     group.add_argument(
         "--frozen", type=Path, action="append", metavar="FIT", help="bench fit that applies [those beside --model]"
     )
-    group.add_argument("--hold-out-share", type=float, default=0.0, metavar="S", help="end of each log to compare only")
+    add_share_argument(group, "end of each log to compare only")
 
 
-def is_robot(recording: Recording) -> bool:
-    """Whether a recording is of many joints."""
-    position = recording.signals.get("position")
-    return position is not None and len(position.columns) > 1
+def add_base_argument(group: "argparse._ArgumentGroup") -> None:
+    """How the robot was held, where the log does not say."""
+    group.add_argument("--base", choices=("fixed", "floating"), help="trunk held, or robot on the ground [as logged]")
+
+
+def add_share_argument(group: "argparse._ArgumentGroup", meaning: str) -> None:
+    """How much of the end of each log is held out."""
+    group.add_argument("--hold-out-share", type=float, default=0.0, metavar="S", help=meaning)
 
 
 def fit_robot_logs(args: argparse.Namespace, recordings: Sequence[Recording]) -> dict[str, Any]:
