@@ -165,7 +165,9 @@ def _channel(recording: Recording, name: str, joints: tuple[str, ...], start: fl
     if signal is None or not signal.columns:
         return None
     if name in ("gyro", "orientation"):
-        return Channel(signal.t - start, signal.y, np.zeros(0, np.int64))
+        # A robot that ends about as it began has turned nowhere on average: what is left is the gyro's bias.
+        bias = signal.y.mean(axis=0) if name == "gyro" else 0.0
+        return Channel(signal.t - start, signal.y - bias, np.zeros(0, np.int64))
     known = [joint for joint in joints if joint in signal.columns]
     places = [signal.columns.index(joint) for joint in known]
     return Channel(signal.t - start, signal.y[:, places], np.array([joints.index(joint) for joint in known], np.int64))

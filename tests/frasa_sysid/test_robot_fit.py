@@ -1,0 +1,275 @@
+"""The whole-robot fit against the virtual robot, MuJoCo's own delays, and bad logs."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from frasa_sysid import stored_fit, stored_robot_fit
+from frasa_sysid.calibration import load_model, read, run_command, servo_law
+from frasa_sysid.cli import build_parser
+from frasa_sysid.errors import LogError, UsageError
+from frasa_sysid.excitation_hung import design, first_sizes
+from frasa_sysid.readers import read_log
+from frasa_sysid.recording import Signal
+from frasa_sysid.robot_body import joints_of
+from frasa_sysid.robot_candidate import Candidate, Writer
+from frasa_sysid.robot_fit import fit_robot, frozen_model, model_delays
+from frasa_sysid.robot_problem import state_robot_problem
+from frasa_sysid.robot_residuals import Comparison, tilt
+from frasa_sysid.robot_rig import robot_run
+from frasa_sysid.robot_simulator import RobotSimulator, bare_model, delayed, pieces_of
+from frasa_sysid.robot_truth import draw
+from frasa_sysid.simulate_robot import simulate_robot
+from frasa_sysid.writer import write_mcap
+
+GROUPS = ("delays", "gain", "damping", "friction")
+
+
+@pytest.fixture(scope="module")
+def fits(robot_model_dir):
+    return [stored_fit.load(robot_model_dir / "fits" / f"{servo}.json") for servo in ("mx106", "mx64")]
+
+
+@pytest.fixture(scope="module")
+def frozen(robot_model_dir, fits, tmp_path_factory):
+    return frozen_model(robot_model_dir / "nominal.xml", fits, tmp_path_factory.mktemp("frozen"))
+
+
+@pytest.fixture(scope="module")
+def recording(robot_model_dir):
+    """Eight seconds of a held robot with random truth but no zeros, as its computer records them."""
+    path = robot_model_dir / "nominal.xml"
+    joints = joints_of(path)
+    truth = replace(draw("fixed", 5, joints.classes, joints.names), zeros=None)
+    sizes = first_sizes(joints)
+    small = replace(sizes, quick=sizes.quick / 3, swing=sizes.swing / 3, step=sizes.step / 3)
+    return simulate_robot(path, joints, truth, design(joints, small, 10.0), 8.0, "robot.mcap", timestep=0.0005)
+
+
+@pytest.fixture(scope="module")
+def found(robot_model_dir, fits, recording):
+    return fit_robot(robot_model_dir / "nominal.xml", fits, [recording], groups=GROUPS)
+
+
+def test_finds_what_the_virtual_robot_is(found, recording):
+    """Delays within a millisecond and scales within 5 %, inside their intervals, from eight seconds."""
+    truth = dict(recording.truth)
+    age = truth["sensor.position_delay"]
+    truth["command.delay"] = truth["mx64.delay"] + age
+    truth["sensor.velocity_delay"] -= age
+    for free, value, half in zip(found.problem.free, found.settled.x, found.half, strict=True):
+        allowed = 0.001 if free.kind.unit == "s" else 0.05
+        assert value == pytest.approx(truth[free.name], abs=allowed), free.name
+        assert half < 0.1
+    inside = [
+        abs(value - truth[free.name]) <= half
+        for free, value, half in zip(found.problem.free, found.settled.x, found.half, strict=True)
+    ]
+    assert np.mean(inside) >= 0.75
+    assert found.errors["fitted"]["position"][0] < 0.3 * found.errors["nominal"]["position"][0]
+
+
+def test_the_models_delays_differ_by_half_a_step(found):
+    """Estimates are what a MuJoCo model takes: commands half a step later, speeds half a step earlier."""
+    by_name = {one.name: one for one in found.estimates()}
+    physical = dict(zip((one.name for one in found.problem.free), found.settled.x, strict=True))
+    assert by_name["command.delay"].value == pytest.approx(physical["command.delay"] + 0.001)
+    assert by_name["sensor.velocity_delay"].value == pytest.approx(physical["sensor.velocity_delay"] - 0.001)
+    assert all(one.low <= one.value <= one.high for one in by_name.values())
+
+
+def test_commands_are_late_as_in_mujoco(robot_model_dir, frozen, recording):
+    """A command delay of the simulator is that of the actuators of a published model, step by step."""
+    late = 0.0137  # [s] in the model; physically half a step less
+    with RobotSimulator(frozen, "fixed", 1) as simulator:
+        run = robot_run(recording, simulator.model)
+        piece = pieces_of(run, simulator.timestep, 2.0, 0.3)[1]
+        one = Candidate(command_delay=late - simulator.timestep / 2)
+        _, _, states = next(simulator.simulate([piece], [one], Candidate()))
+        model = simulator.model
+        supply = float(run.supply[piece.first : piece.end + 1].mean())
+        spec_model = _with_history(frozen)
+        Writer(model, simulator.trunk).write(spec_model, one, supply, run.firmware_gain)
+        spec_model.opt.gravity[:] = simulator._pool[0].opt.gravity
+    spec_model.actuator_delay[:] = late
+    data = mujoco.MjData(spec_model)
+    data.qpos[:], data.qvel[:] = states[0][: model.nq], states[0][model.nq :]
+    size = int(spec_model.actuator_history[0, 0])
+    times = (np.arange(size) - size) * spec_model.opt.timestep
+    for i in range(spec_model.nu):
+        mujoco.mj_initCtrlHistory(spec_model, data, i, times, run.goal[piece.first - size : piece.first, i])
+    for k in range(300):
+        data.ctrl[:] = run.goal[piece.first + k]
+        mujoco.mj_step(spec_model, data)
+        assert np.abs(data.qpos - states[k + 1][: model.nq]).max() < 1e-6, k
+
+
+def _with_history(frozen):
+    """The held robot as `bare_model` makes it, but with MuJoCo's own command history."""
+    from frasa_sysid.robot_body import hold
+
+    spec = mujoco.MjSpec.from_file(str(frozen))
+    for one in [*spec.keys, *spec.sensors]:
+        spec.delete(one)
+    hold(spec, spec.body("trunk"), (1.0, 0.0, 0.0, 0.0))
+    servo_law.install()
+    return spec.compile()
+
+
+def test_delayed_commands():
+    """Whole and broken delays, and what lies before the first command."""
+    goal = np.arange(10.0)[:, None]
+    assert delayed(goal, 3, 4, 2.0)[:, 0].tolist() == [1.0, 2.0, 3.0, 4.0]
+    assert delayed(goal, 3, 4, 0.25)[:, 0] == pytest.approx([2.75, 3.75, 4.75, 5.75])
+    assert delayed(goal, 0, 3, 2.5)[:, 0] == pytest.approx([0.0, 0.0, 0.0])
+
+
+def test_a_zero_turns_geometry_only(robot_model_dir, frozen):
+    """At a measured angle the feet are where those of a robot without zeros are at the true angle; nothing adds up."""
+    model = bare_model(frozen, "fixed")
+    writer, copy = Writer(model, 1), bare_model(frozen, "fixed")
+    zeros = {"left_knee": 0.03, "left_hip_roll": -0.02, "right_elbow": 0.05}
+    for _ in range(3):
+        writer.write(copy, Candidate(zeros=zeros), 15.0, None)
+    plain, turned = mujoco.MjData(model), mujoco.MjData(copy)
+    measured = np.random.default_rng(0).uniform(-0.5, 0.5, model.nq)
+    turned.qpos[:] = measured
+    true = measured.copy()
+    for name, zero in zeros.items():
+        true[model.joint(name).qposadr[0]] -= zero
+    plain.qpos[:] = true
+    mujoco.mj_kinematics(model, plain)
+    mujoco.mj_kinematics(copy, turned)
+    assert turned.geom_xpos == pytest.approx(plain.geom_xpos, abs=1e-12)
+    writer.write(copy, Candidate(), 15.0, None)
+    assert (copy.body_quat == model.body_quat).all()
+    assert (copy.actuator_gainprm == model.actuator_gainprm).all()
+
+
+def test_scales_and_supply(frozen):
+    """Gain and torque limit go with the supply and their scale, friction with its own, the trunk with its mass."""
+    model = bare_model(frozen, "fixed")
+    copy, writer = bare_model(frozen, "fixed"), Writer(model, 1)
+    one = Candidate(gain={"mx64": 1.1}, damping={"mx106": 0.9}, friction={"mx64": 2.0}, trunk_mass=4.0)
+    writer.write(copy, one, 0.9 * writer.stated_supply, None)
+    assert read(copy, "mx64.kp") == pytest.approx(1.1 * 0.9 * read(model, "mx64.kp"))
+    assert read(copy, "mx106.forcerange") == pytest.approx(0.9 * read(model, "mx106.forcerange"))
+    assert read(copy, "mx106.damping") == pytest.approx(0.9 * read(model, "mx106.damping"))
+    assert read(copy, "mx64.load_motor_stribeck") == pytest.approx(2.0 * read(model, "mx64.load_motor_stribeck"))
+    assert read(copy, "mx106.stribeck") == pytest.approx(read(model, "mx106.stribeck"))
+    ratio = 4.0 / model.body_mass[1]
+    assert copy.body_inertia[1] == pytest.approx(model.body_inertia[1] * ratio)
+
+
+def test_a_channel_of_age_d_is_read_d_earlier(frozen, recording):
+    """Readings move by the age of their channel, to a fraction of a step, and no other channel's do."""
+    with RobotSimulator(frozen, "fixed", 1) as simulator:
+        run = robot_run(recording, simulator.model)
+        compared = Comparison(simulator, pieces_of(run, simulator.timestep, 1.0, 0.3)[2:3])
+        names = np.array([name.split()[0] for name in compared.layout.names])[compared.layout.column]
+        young, old = (Candidate(ages={"velocity": age}) for age in (0.010, 0.0104))
+        first, second = compared.residuals([young, old], Candidate())
+    moved = second - first
+    assert np.abs(moved[names == "position"]).max() == 0.0
+    assert 1e-4 < np.abs(moved[names == "velocity"]).max() < 0.1
+
+
+def test_tilt_knows_no_heading():
+    """Roll and pitch are those of gravity, whatever the yaw."""
+    for yaw in (0.0, 1.0, -2.0):
+        whole = np.array([1.0, 0.0, 0.0, 0.0])
+        for axis, angle in (((0, 0, 1), yaw), ((0, 1, 0), -0.3), ((1, 0, 0), 0.1)):
+            turn, product = np.zeros(4), np.zeros(4)
+            mujoco.mju_axisAngle2Quat(turn, np.array(axis, dtype=np.float64), angle)
+            mujoco.mju_mulQuat(product, whole, turn)
+            whole = product
+        assert tilt(whole[None])[0] == pytest.approx([0.1, -0.3], abs=1e-12)
+
+
+def test_what_a_held_robot_cannot_show_is_not_free(robot_model_dir, recording):
+    """Ages of gyro and orientation need the robot on the ground; an unknown group is refused."""
+    model = load_model(robot_model_dir / "nominal.xml")
+    run = robot_run(recording, model)
+    problem = state_robot_problem([run], ("mx64",), model_delays(model, 0.0), 3.0)
+    names = {one.name for one in problem.free}
+    assert "sensor.velocity_delay" in names
+    assert not {"sensor.gyro_delay", "sensor.orientation_delay"} & names
+    with pytest.raises(UsageError, match="expected delays, zeros"):
+        state_robot_problem([run], ("mx64",), model_delays(model, 0.0), 3.0, ("delay",))
+
+
+def test_bad_logs_say_what_to_do(robot_model_dir, recording):
+    """A missing goal, joint or base, a slow log and one with a hole: one sentence each."""
+    model = load_model(robot_model_dir / "nominal.xml")
+    signals = dict(recording.signals)
+    position = signals["position"]
+
+    def with_position(t, y):
+        return replace(recording, signals=signals | {"position": Signal("position", "rad", t, y, position.columns)})
+
+    without = replace(recording, signals={name: one for name, one in signals.items() if name != "goal"})
+    with pytest.raises(LogError, match=r"no 'goal' signal.*joint_command"):
+        robot_run(without, model)
+    lame = Signal("position", "rad", position.t, position.y[:, :3], position.columns[:3])
+    with pytest.raises(LogError, match=r"'position' lacks .*left_knee"):
+        robot_run(replace(recording, signals=signals | {"position": lame}), model)
+    with pytest.raises(UsageError, match="--base fixed or floating"):
+        robot_run(replace(recording, rig=replace(recording.rig, base=None)), model)
+    with pytest.raises(LogError, match="record at 50 Hz"):
+        robot_run(with_position(position.t[::20], position.y[::20]), model)
+    keep = (position.t < 3.0) | (position.t > 4.0)
+    holed = with_position(position.t[keep], position.y[keep])
+    with pytest.raises(LogError, match="no position for 1"):
+        robot_run(holed, model)
+
+
+def test_from_the_command_line_into_the_model(robot_model_dir, recording, tmp_path):
+    """fit LOG --publish beside the bench fits: the model takes the delays, the file says what is known as a sum."""
+    folder = tmp_path / "robot_model"
+    shutil.copytree(robot_model_dir, folder)
+    log = tmp_path / "robot.mcap"
+    write_mcap(log, [recording])
+    command = ["fit", str(log), "--model", str(folder / "nominal.xml"), "--free", "delays", "--publish", "--no-report"]
+    assert run_command(build_parser(), [*command, "--hold-out-share", "0.3"]) == 0
+    data = json.loads((folder / "fits" / "robot.json").read_text())
+    assert data["kind"] == "robot"
+    assert data["misfit"]["held_out_fitted"]["mae_rad"] < data["misfit"]["held_out_nominal"]["mae_rad"]
+    assert "sum only" in " ".join(data["not_in_model"])
+    stored = stored_robot_fit.load(folder / "fits" / "robot.json")
+    model = load_model(folder / "calibrated.xml")
+    for name in ("mx64.delay", "mx106.delay", "sensor.velocity_delay"):
+        assert read(model, name) == pytest.approx(stored.parameters[name]["value"], abs=1e-12)
+    assert not list((folder / "fits").glob("*.partial.json"))
+    assert read_log(log)[0].rig.base == "fixed"
+
+
+def test_an_interrupted_fit_goes_on(robot_model_dir, recording, tmp_path, monkeypatch):
+    """Ctrl-C keeps the last step, and the same command starts from it; another one does not."""
+    folder = tmp_path / "robot_model"
+    shutil.copytree(robot_model_dir, folder)
+    log = tmp_path / "robot.mcap"
+    write_mcap(log, [recording])
+    from frasa_sysid.commands import fit_robot as command
+
+    real, started = command.fit_robot, []
+
+    def stopped(*arguments):
+        started.append(arguments[9])
+        keep = arguments[11]
+        keep(np.array([0.004, 0.03]), 1)
+        raise KeyboardInterrupt
+
+    arguments = ["fit", str(log), "--model", str(folder / "nominal.xml"), "--free", "delays", "--no-report"]
+    monkeypatch.setattr(command, "fit_robot", stopped)
+    assert run_command(build_parser(), arguments) == 130
+    assert run_command(build_parser(), arguments) == 130
+    assert started[0] is None
+    assert started[1].tolist() == [0.004, 0.03]
+    assert run_command(build_parser(), [*arguments, "--position-delay", "0.001"]) == 130
+    assert started[2] is None
+    monkeypatch.setattr(command, "fit_robot", real)
+    assert not (folder / "fits" / "robot.json").exists()
