@@ -16,7 +16,7 @@ from frasa_sysid.model_mark import mark_of
 from frasa_sysid.recording import Recording
 from frasa_sysid.robot_candidate import Candidate, candidate_of
 from frasa_sysid.robot_errors import Compared
-from frasa_sysid.robot_fit import HALF_STEP, frozen_model
+from frasa_sysid.robot_fit import HALF_STEP, RobotFit, frozen_model
 from frasa_sysid.robot_numbers import COMMAND_DELAY, MASS_SCALE
 from frasa_sysid.robot_residuals import Comparison
 from frasa_sysid.robot_rig import Base, RobotRun, robot_run
@@ -61,6 +61,17 @@ def of_bench_fits(name: str, fits: Sequence[StoredFit], nominal: Path, folder: P
         folder: an empty one, for the model that they make.
     """
     return of_model(name, frozen_model(nominal, fits, folder))
+
+
+def of_found(found: RobotFit, frozen: Path) -> list[Contender]:
+    """What a fit started from, `before`, and where it ended, `fitted`.
+
+    Args:
+        found: the fit.
+        frozen: the model that it varied, see `robot_fit.frozen_model`.
+    """
+    points = {"before": found.problem.start(), "fitted": found.settled.x}
+    return [Contender(name, frozen, found.problem.candidate(x)) for name, x in points.items()]
 
 
 def of_robot_fit(name: str, path: Path, nominal: Path, folder: Path) -> Contender:
@@ -129,6 +140,12 @@ def _candidate(stored: StoredRobotFit, own: Candidate, timestep: float) -> Candi
     )
 
 
+def held_from(runs: Sequence[RobotRun], timestep: float, share: float) -> dict[str, float]:
+    """By run, when the part begins that a fit with that share held out never saw [s]."""
+    left = {run.name: split_pieces(run, timestep, share)[1] for run in runs}
+    return {name: pieces[0].begin * timestep for name, pieces in left.items() if pieces}
+
+
 def last_share(share: float) -> Choose:
     """The pieces that a fit with that share held out never saw; all of them for 0."""
 
@@ -161,7 +178,13 @@ def compare_robot(
         LogError, UsageError: bad input.
     """
     model = load_model(one.path)
-    runs = [robot_run(recording, model, base) for recording in recordings]
+    return compare_runs(one, [robot_run(recording, model, base) for recording in recordings], choose, threads)
+
+
+def compare_runs(
+    one: Contender, runs: Sequence[RobotRun], choose: Choose, threads: int | None = None
+) -> list[Compared]:
+    """The same for runs that were made ready already, for a model of that robot with its physics step."""
     found = []
     for kind in dict.fromkeys(run.base for run in runs):
         with RobotSimulator(one.path, kind, threads) as simulator:

@@ -15,19 +15,13 @@ from frasa_sysid.errors import LogError, UsageError
 from frasa_sysid.fit_json import ROBOT, read_json
 from frasa_sysid.recording import Recording
 from frasa_sysid.report_robot import write_robot_comparison
+from frasa_sysid.report_robot_tables import SHOWN
 from frasa_sysid.robot_compare import Contender, compare_robot, last_share, of_bench_fits, of_model, of_robot_fit
 from frasa_sysid.robot_errors import ChannelErrors, Compared, blown_up, errors_by_channel, pieces_in
 from frasa_sysid.robot_rig import is_robot
 
 SCHEMA = "frasa.compare/1"
 NOMINAL = "nominal"
-# Names, factors and units in which people read errors.
-SHOWN = {
-    "position": ("position", 1e3, "mrad"),
-    "velocity": ("velocity", 1.0, "rad/s"),
-    "gyro": ("gyro", 1.0, "rad/s"),
-    "orientation": ("tilt", 1e3, "mrad"),
-}
 
 
 def compare_robot_logs(args: argparse.Namespace, recordings: Sequence[Recording]) -> dict[str, Any]:

@@ -258,7 +258,7 @@ def _publish(
     model_path = args.model.with_name("calibrated.xml")
     as_m1 = args.as_law == "m1" and extras.stand_in is not None
 
-    def check(model: mujoco.MjModel) -> None:
+    def check(model: mujoco.MjModel, path: Path) -> None:
         worst, runs = replay(model, result, extras.stand_in if as_m1 else None, session)
         say(f"{model_path} replays the {runs} runs within {worst * 1e3:.2g} mrad of the fit")
 
