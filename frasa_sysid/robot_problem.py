@@ -50,10 +50,7 @@ ZERO = Kind("rad", -0.2, 0.2, 0.03, 3e-3, 3.5e-3)
 # little, as MuJoCo's does, moves the zeros of hip, knee and ankle against each other by tens of milliradians.
 ZERO_STANDING = Kind("rad", -0.2, 0.2, 0.03, 3e-3, 3.5e-3, 0.015)
 SCALE = Kind("1", 0.3, 3.0, 0.4, 0.02, 0.05, 0.015)
-MASS_  # Standing on bent legs a joint is held by its friction as much as by its gain: a model whose friction creeps a
-# little, as MuJoCo's does, moves the zeros of hip, knee and ankle against each other by tens of milliradians.
-ZERO_STANDING = Kind("rad", -0.2, 0.2, 0.03, 3e-3, 3.5e-3, 0.015)
-SCALE = Kind("1", 0.5, 2.0, 0.2, 0.02, 0.03)
+MASS_SCALE = Kind("1", 0.5, 2.0, 0.2, 0.02, 0.03)
 SHIFT = Kind("m", -0.05, 0.05, 0.02, 2e-3, 3e-3)
 
 

@@ -69,8 +69,9 @@ def main() -> None:
             kind = free.name if "delay" in field else field
             rows[kind].append((abs(value - truth[free.name]), half, one.verdict))
         print(f"robot {seed}: {before[-1] * 1e3:.2f} to {after[-1] * 1e3:.2f} mrad in {times[-1]:.0f} s", flush=True)
-    print(f"{args.robots} robots, {args.base}, {args.seconds:g} s each; a fit takes {np.median(times):.0f} s (median), "
-          f"{np.max(times):.0f} s at most; positions {np.mean(before) * 1e3:.2f} to {np.mean(after) * 1e3:.2f} mrad")  # fmt: skip
+    print(f"{args.robots} robots, {args.base}, {args.seconds:g} s each; positions on average "
+          f"{np.mean(before) * 1e3:.2f} to {np.mean(after) * 1e3:.2f} mrad")  # fmt: skip
+    print(f"a fit takes {np.median(times):.0f} s (median), {np.max(times):.0f} s at most")
     print(f"{'number':26s} {'said':>6s} {'median error':>14s} {'worst':>9s}   95 % intervals that hold the truth")
     inside = total = 0
     for kind, found_rows in rows.items():
