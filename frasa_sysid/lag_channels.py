@@ -126,9 +126,7 @@ def _relation(recording: Recording, late: Signal, early: Signal) -> tuple[Relati
     )
 
 
-def _match(
-    recording: Recording, late: Sequence[Channel], early: Sequence[Channel]
-) -> list[tuple[Channel, Channel]]:
+def _match(recording: Recording, late: Sequence[Channel], early: Sequence[Channel]) -> list[tuple[Channel, Channel]]:
     if len(late) == len(early) == 1 and "" in (late[0].label, early[0].label):
         return [(late[0], early[0])]
     by_label = {one.label: one for one in early}

@@ -197,13 +197,13 @@ def _refine(
     at_edge: bool,
     inverted: bool,
 ) -> Fitted:
-    d, weight = start, np.ones(t.size)
+    d = start
+    weight: FloatArray = np.ones(t.size)
     for _ in range(_ROUNDS):
         before = d
         J, r, theta = _linear(t, y, x, d)
         weight = _weights(r)
-        w = weight[:, None]
-        change = np.linalg.lstsq(J.T @ (w * J), J.T @ (weight * r), rcond=None)[0]
+        change = np.linalg.lstsq(J.T @ (weight[:, None] * J), J.T @ (weight * r), rcond=None)[0]
         d = float(np.clip(d + np.clip(change[2], -step, step), start - _ROAM * step, start + _ROAM * step))
         if abs(d - before) < 1e-9:
             break
@@ -230,8 +230,8 @@ def _linear(t: FloatArray, y: FloatArray, x: Reference, d: float) -> tuple[Float
     """Derivatives by a, b and d (n, 3), residuals (n,), and (a, b) at one delay; a and b are the robust best."""
     X = x.value(t - d)
     basis = np.stack([X, np.ones(t.size)], axis=1)
-    weight = np.ones(t.size)
-    theta = np.zeros(2)
+    weight: FloatArray = np.ones(t.size)
+    theta: FloatArray = np.zeros(2)
     for _ in range(4):
         w = weight[:, None]
         theta = np.linalg.lstsq(basis.T @ (w * basis), basis.T @ (weight * y), rcond=None)[0]
@@ -242,7 +242,7 @@ def _linear(t: FloatArray, y: FloatArray, x: Reference, d: float) -> tuple[Float
 
 def _weights(r: FloatArray) -> FloatArray:
     scale = _ROBUST * float(np.median(np.abs(r)))
-    return np.ones(r.size) if scale == 0.0 else 1.0 / (1.0 + (r / scale) ** 2)
+    return np.asarray(1.0 / (1.0 + (r / scale) ** 2) if scale > 0.0 else np.ones(r.size), dtype=np.float64)
 
 
 def _errors(J: FloatArray, r: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
@@ -277,4 +277,4 @@ def _blocks(J: FloatArray, r: FloatArray, weight: FloatArray) -> np.ndarray[tupl
     below = np.flatnonzero(common < 0.05 * common[0]) if common[0] > 0.0 else np.array([1])
     memory = int(below[0]) if below.size else score.size
     count = int(np.clip(score.size / (5 * max(memory, 1)), *_BLOCKS))
-    return np.arange(score.size, dtype=np.int64) * count // score.size
+    return np.asarray(np.arange(score.size) * count // score.size, dtype=np.int64)

@@ -81,9 +81,7 @@ def _join(name: str, several: Sequence[Lag]) -> Joint:
     by_frequency = _by_frequency(used, delays)
     if len(used) == 1:
         one = used[0]
-        return Joint(
-            name, len(several), 1, one.delay, one.low, one.high, None, one.verdict, one.reason, by_frequency
-        )
+        return Joint(name, len(several), 1, one.delay, one.low, one.high, None, one.verdict, one.reason, by_frequency)
     together = agreement(delays, errors)
     mean, error = together.mean, together.error
     if together.p < CHANCE:
@@ -92,14 +90,10 @@ def _join(name: str, several: Sequence[Lag]) -> Joint:
         mean, error = float(weight @ delays / weight.sum()), float(weight.sum() ** -0.5)
     verdict, reason = _judge(used, together, by_frequency)
     half = NORMAL * error
-    return Joint(
-        name, len(several), len(used), mean, mean - half, mean + half, together, verdict, reason, by_frequency
-    )
+    return Joint(name, len(several), len(used), mean, mean - half, mean + half, together, verdict, reason, by_frequency)
 
 
-def _judge(
-    used: Sequence[Lag], together: Agreement, by_frequency: Sequence[AtFrequency]
-) -> tuple[Verdict, str]:
+def _judge(used: Sequence[Lag], together: Agreement, by_frequency: Sequence[AtFrequency]) -> tuple[Verdict, str]:
     test = f"chi-square {together.chi2:.1f} for {together.dof} (p = {together.p:.2g})"
     if apart(together):
         why = f"the logs disagree, {test}, by {1e3 * together.spread:.2f} ms (standard deviation)"
