@@ -4,7 +4,7 @@ What is called a delay may be something else: the verdict says which.
 
 ==================  ==================================================================================================
 identified          one delay explains the log, and is known
-known roughly       likewise, but to no better than a fifth, or a millisecond
+known roughly       likewise, but to no better than a tenth, or a millisecond
 filter              it is not the same at all frequencies, or amplitudes change: a filter, a control loop, or slip
 periodic            known but for whole periods: the motion repeats itself
 too slow            a sample takes too long; the interval is half a sampling period at least
@@ -23,16 +23,17 @@ import numpy as np
 from frasa_sysid.errors import LogError
 from frasa_sysid.lag_bands import Agreement, Band, agreement, bands
 from frasa_sysid.lag_channels import Pair, pairs
-from frasa_sysid.lag_fit import Fitted, fit_delay
-from frasa_sysid.lag_reference import Reference
-from frasa_sysid.recording import FloatArray, Recording
+from frasa_sysid.lag_fit import Fitted, fit_delay, main_frequency, purity
+from frasa_sysid.recording import Recording
 
 Verdict = Literal[
     "identified", "known roughly", "filter", "periodic", "too slow", "not excited", "wrong sign", "out of range"
 ]
 LONGEST = 0.25  # [s] that is searched, in both directions
-SLOW = 0.05  # [s] a sampling period from which on half of it is the least that the interval is
-ROUGH = (0.001, 0.2)  # [s] and share of the delay, up to which a half interval counts as known
+SLOW = 0.045  # [s] a sampling period from which on half of it is the least that the interval is
+ROUGH = (0.001, 0.1)  # [s] and share of the delay, up to which a half interval counts as known
+PURE = 0.8  # of the power at one frequency makes a motion a sine ...
+CYCLES = 3.0  # ... if there are so many
 EXPLAINED = 0.8  # of the variance of a channel, or the other is not where it comes from
 RATIO = 0.1  # amplitude ratio that may be missing, or differ between frequencies
 SAME = (3e-4, 0.05)  # [s] and share of the delay, up to which delays of frequencies count as the same
@@ -53,6 +54,7 @@ class Lag:
         ratio: amplitude of the late channel over the other.
         explained: share of the late channel's variance that the other one explains.
         frequency: where most of the motion's power is [Hz].
+        pure: most of the motion's power is at that frequency: what is found is the delay there, even of a filter.
         period: sampling period of the slower channel [s].
         bands: the delay by frequency.
         agreement: of the bands; None with fewer than two.
@@ -71,6 +73,7 @@ class Lag:
     ratio: float
     explained: float
     frequency: float
+    pure: bool
     period: float
     bands: tuple[Band, ...]
     agreement: Agreement | None
@@ -112,25 +115,26 @@ def lag_of(recording: Recording, pair: Pair, longest: float = LONGEST) -> Lag:
         fitted = fit_delay(t, y, x, (-longest, longest))
     except LogError as error:
         return _nothing(recording, pair, str(error))
-    frequency = main_frequency(t, x.value(t))
+    motion = x.value(t)
+    frequency = main_frequency(t, motion)
     by_band = tuple(bands(t, y, x, fitted.delay)) if fitted.explained > EXPLAINED else ()
     together = None
     if len(by_band) > 1:
         together = agreement(*(np.array([getattr(one, name) for one in by_band]) for name in ("delay", "error")))
     verdict, reason = _judge(pair, fitted, by_band, together, frequency)
-    half = fitted.half_width
-    if verdict == "too slow":
-        half = max(half, _period(pair) / 2)
+    half = max(fitted.half_width, _period(pair) / 2 if verdict == "too slow" else 0.0)
     sign = -1.0 if pair.turned else 1.0
+    ends = sorted((sign * (fitted.low - half), sign * (fitted.high + half)))
     return Lag(
         recording=recording.name,
         joint=pair.joint,
         delay=sign * fitted.delay,
-        low=sign * fitted.delay - half,
-        high=sign * fitted.delay + half,
+        low=ends[0],
+        high=ends[1],
         ratio=1.0 / fitted.ratio if pair.turned and fitted.ratio else fitted.ratio,
         explained=fitted.explained,
         frequency=frequency,
+        pure=frequency * float(t[-1] - t[0]) >= CYCLES and purity(t, motion) > PURE,
         period=_period(pair),
         bands=tuple(_turn(one) for one in by_band) if pair.turned else by_band,
         agreement=together,
@@ -141,15 +145,6 @@ def lag_of(recording: Recording, pair: Pair, longest: float = LONGEST) -> Lag:
     )
 
 
-def main_frequency(t: FloatArray, values: FloatArray) -> float:
-    """Where most of a motion's power is [Hz]; 0 where it stands still. Shapes (T,), times need not be even."""
-    grid = np.linspace(t[0], t[-1], int(np.clip(t.size, 16, 8192)))
-    level = np.interp(grid, t, values)
-    power = np.abs(np.fft.rfft((level - level.mean()) * np.hanning(grid.size), 4 * grid.size)) ** 2
-    line = int(power[1:].argmax()) + 1
-    return float(line / (4 * grid.size * (grid[1] - grid[0]))) if power[line] > 0.0 else 0.0
-
-
 def _period(pair: Pair) -> float:
     return max(pair.of.period, pair.against.period)
 
@@ -157,7 +152,21 @@ def _period(pair: Pair) -> float:
 def _nothing(recording: Recording, pair: Pair, why: str) -> Lag:
     nan = float("nan")
     return Lag(
-        recording.name, pair.joint, None, nan, nan, nan, 0.0, 0.0, _period(pair), (), None, (), "not excited", why
+        recording.name,
+        pair.joint,
+        None,
+        nan,
+        nan,
+        nan,
+        0.0,
+        0.0,
+        False,
+        _period(pair),
+        (),
+        None,
+        (),
+        "not excited",
+        why,
     )
 
 
@@ -168,15 +177,15 @@ def _turn(band: Band) -> Band:
 def _judge(
     pair: Pair, fitted: Fitted, by_band: Sequence[Band], together: Agreement | None, frequency: float
 ) -> tuple[Verdict, str]:
+    if _period(pair) >= SLOW:
+        best = f"a delay is known to about half a sample period at best, {1e3 * _period(pair) / 2:.0f} ms"
+        return "too slow", f"{1 / _period(pair):.0f} Hz: {best}; record at 50 Hz or more"
     if fitted.inverted:
         return "wrong sign", "a negative ratio explains it better: the sign of one of the channels is wrong"
     if fitted.explained < EXPLAINED:
         return "not excited", f"only {100 * max(fitted.explained, 0.0):.0f} % of one is explained by the other"
     if fitted.at_edge:
         return "out of range", "no delay inside the limits of the search does best; see --longest"
-    if _period(pair) >= SLOW:
-        best = f"a delay is known to about half a sample period at best, {1e3 * _period(pair) / 2:.0f} ms"
-        return "too slow", f"{1 / _period(pair):.0f} Hz: {best}; record at 50 Hz or more"
     if fitted.others:
         others = ", ".join(f"{1e3 * one:.0f}" for one in fitted.others)
         return "periodic", f"the motion repeats itself at {frequency:.2f} Hz: {others} ms would do as well"
@@ -186,7 +195,7 @@ def _judge(
         return "filter", f"the amplitude is {fitted.ratio:.2f} of the other's: more than a delay, or a wrong scale"
     if _uneven(by_band, frequency):
         return "filter", "a delay alone would leave amplitudes the same at all frequencies"
-    if fitted.half_width > max(ROUGH[0], ROUGH[1] * abs(fitted.delay)):
+    if fitted.half_width + (fitted.high - fitted.low) / 2 > max(ROUGH[0], ROUGH[1] * abs(fitted.delay)):
         return "known roughly", "the interval is wide: a longer, faster or less noisy log would help"
     return "identified", "one delay explains it"
 
@@ -212,6 +221,3 @@ def _uneven(by_band: Sequence[Band], frequency: float) -> bool:
     errors = np.array([one.ratio_error for one in near])
     found = agreement(ratios, errors)
     return found.p < CHANCE and found.spread > RATIO
-
-
-__all__ = ["Lag", "Reference", "Verdict", "lag_of", "lags", "main_frequency"]

@@ -87,9 +87,11 @@ def pairs(recording: Recording, of: str, against: str, joint: str | None = None)
     late, early = _channels(recording, of, joint), _channels(recording, against, joint)
     relation, turned = _relation(recording, late[0].signal, early[0].signal)
     matched = _match(recording, late, early)
+    told = recording.extra.get("joint")  # of a log of one joint, whose signals have no columns
+    name = told if isinstance(told, str) else ""
     if turned:
-        return [Pair(a.label or b.label, b, a, relation, True) for a, b in matched]
-    return [Pair(a.label or b.label, a, b, relation, False) for a, b in matched]
+        return [Pair(a.label or b.label or name, b, a, relation, True) for a, b in matched]
+    return [Pair(a.label or b.label or name, a, b, relation, False) for a, b in matched]
 
 
 def _channels(recording: Recording, name: str, joint: str | None) -> list[Channel]:

@@ -19,6 +19,7 @@ CONFIDENCE = 0.95
 _MOST = 20_000  # samples that are used; of more every second, third ... one
 _MOST_SCANNED = 3000  # in the scan
 _STEPS = (201, 2001)  # fewest and most of the scan
+_FINER = 4  # lines of a spectrum for one that the log resolves
 _ROUNDS = 40
 _ROAM = 3  # steps of the scan that the minimum may lie beside its best
 _ROBUST = 4.0  # median residuals from which on a sample counts little
@@ -28,6 +29,7 @@ _SHARED = 0.4  # share of all samples, likewise
 _PARTS = 12  # that two delays are compared on
 _DISTINCT = 0.05  # chance up to which two delays count as told apart ...
 _ALIKE = 0.02  # ... if they differ by more than this share of y's variance
+_BESIDE = 0.4  # of a period; delays nearer to each other belong to one
 _WORTH_A_TEST = 0.2  # likewise; what is further behind is no rival
 
 
@@ -43,6 +45,8 @@ class Fitted:
         ratio_error: its standard error.
         explained: share of y's variance that a x(t - d) + b explains.
         others: further delays that the log does not tell from d [s]: a periodic motion has them.
+        low: least of the delays beside d, less than half a period away, that do as well [s]; d itself if there is none.
+        high: largest of them [s].
         at_edge: there is no best delay inside the limits.
         inverted: a negative a explains the log clearly better than any positive one.
         used: samples of y.
@@ -55,6 +59,8 @@ class Fitted:
     ratio_error: float
     explained: float
     others: tuple[float, ...]
+    low: float
+    high: float
     at_edge: bool
     inverted: bool
     used: int
@@ -81,12 +87,34 @@ def fit_delay(t: FloatArray, y: FloatArray, x: Reference, limits: tuple[float, f
     t, y = t[::stride], y[::stride]
     scan = _scan(t, y, x, _grid(t, x, limits))
     step = float(scan.delays[1] - scan.delays[0])
-    start, others, at_edge = _choose(scan, step)
+    peak = _choose(scan, step, _period(scan))
+    start = peak.delay
     inverted = _is_inverted(scan)
     near = x.known(t - start - _ROAM * step) & x.known(t - start + _ROAM * step)
     if near.sum() < _FEWEST:
         raise LogError(f"{int(near.sum())} samples overlap at a delay of {1e3 * start:.1f} ms, {_FEWEST} are needed")
-    return _refine(t[near], y[near], x, start, step, others, at_edge, inverted)
+    return _refine(t[near], y[near], x, peak, step, inverted)
+
+
+def main_frequency(t: FloatArray, values: FloatArray) -> float:
+    """Where most of a motion's power is [Hz]; 0 where it stands still. Shapes (T,), times need not be even."""
+    line, power, width = _spectrum(t, values)
+    return float(line / width) if power[line] > 0.0 else 0.0
+
+
+def purity(t: FloatArray, values: FloatArray) -> float:
+    """Share of a motion's power that lies at its main frequency: 1 for a sine, shapes (T,)."""
+    line, power, _ = _spectrum(t, values)
+    near = slice(max(line - 2 * _FINER, 1), line + 2 * _FINER + 1)
+    total = float(power[1:].sum())
+    return float(power[near].sum()) / total if total > 0.0 else 0.0
+
+
+def _spectrum(t: FloatArray, values: FloatArray) -> tuple[int, FloatArray, float]:
+    grid = np.linspace(t[0], t[-1], int(np.clip(t.size, 16, 8192)))
+    level = np.interp(grid, t, values)
+    power = np.abs(np.fft.rfft((level - level.mean()) * np.hanning(grid.size), _FINER * grid.size)) ** 2
+    return int(power[1:].argmax()) + 1, power, float(_FINER * grid.size * (grid[1] - grid[0]))
 
 
 def _grid(t: FloatArray, x: Reference, limits: tuple[float, float]) -> FloatArray:
@@ -154,24 +182,39 @@ def _scan(t: FloatArray, y: FloatArray, x: Reference, grid: FloatArray) -> _Scan
     return _Scan(grid, upright, inverted, t, y, x)
 
 
-def _choose(scan: _Scan, step: float) -> tuple[float, tuple[float, ...], bool]:
-    """The peak to climb, the ones that are as good, and whether there is none."""
+@dataclass(frozen=True)
+class _Peak:
+    """The best delay of a scan, what does as well beside it and at other periods, and whether there is none."""
+
+    delay: float
+    beside: tuple[float, ...] = ()
+    others: tuple[float, ...] = ()
+    at_edge: bool = False
+
+
+def _period(scan: _Scan) -> float:
+    """Of the motion [s]; infinite where it stands still."""
+    frequency = main_frequency(scan.t, scan.x.value(scan.t))
+    return 1.0 / frequency if frequency > 0.0 else np.inf
+
+
+def _choose(scan: _Scan, step: float, period: float) -> _Peak:
     score = scan.upright
     best = int(score.argmax())
-    tried = np.flatnonzero(score >= 0.0)
     inner = np.flatnonzero((score[1:-1] >= score[:-2]) & (score[1:-1] > score[2:]) & (score[1:-1] > 0.0)) + 1
     if best not in inner:
-        return float(scan.delays[best]), (), bool(best in (tried[0], tried[-1]) or inner.size == 0)
+        return _Peak(float(scan.delays[best]), at_edge=True)
     alike = [int(i) for i in inner if i == best or _near(scan, int(i), best)]
-    # Of delays that are as good the shortest is meant; peaks side by side are ripples of one.
-    alike.sort(key=lambda i: abs(scan.delays[i]))
-    chosen = float(scan.delays[alike[0]])
-    far = max(4 * step, 0.02 * float(np.ptp(scan.delays)))
-    peaks: list[float] = []
-    for i in alike[1:]:
-        if all(abs(scan.delays[i] - one) > far for one in (chosen, *peaks)):
-            peaks.append(float(scan.delays[i]))
-    return chosen, tuple(sorted(peaks)), False
+    # Of periods that are as good the one with the shortest delay is meant; peaks side by side are ripples of one.
+    shortest = min(alike, key=lambda i: abs(scan.delays[i]))
+    group = [i for i in alike if abs(scan.delays[i] - scan.delays[shortest]) < _BESIDE * period]
+    chosen = max(group, key=lambda i: score[i])
+    others: list[float] = []
+    for i in sorted(set(alike) - set(group), key=lambda i: -score[i]):
+        if all(abs(scan.delays[i] - one) > _BESIDE * period for one in others):
+            others.append(float(scan.delays[i]))
+    beside = tuple(float(scan.delays[i]) for i in group if abs(scan.delays[i] - scan.delays[chosen]) > 2 * step)
+    return _Peak(float(scan.delays[chosen]), beside, tuple(sorted(others)))
 
 
 def _near(scan: _Scan, i: int, best: int) -> bool:
@@ -187,17 +230,8 @@ def _is_inverted(scan: _Scan) -> bool:
     return not scan.alike(float(scan.delays[best]), float(scan.delays[other]), sign=-1)
 
 
-def _refine(
-    t: FloatArray,
-    y: FloatArray,
-    x: Reference,
-    start: float,
-    step: float,
-    others: tuple[float, ...],
-    at_edge: bool,
-    inverted: bool,
-) -> Fitted:
-    d = start
+def _refine(t: FloatArray, y: FloatArray, x: Reference, peak: _Peak, step: float, inverted: bool) -> Fitted:
+    d = start = peak.delay
     weight: FloatArray = np.ones(t.size)
     for _ in range(_ROUNDS):
         before = d
@@ -207,7 +241,7 @@ def _refine(
         d = float(np.clip(d + np.clip(change[2], -step, step), start - _ROAM * step, start + _ROAM * step))
         if abs(d - before) < 1e-9:
             break
-    at_edge = at_edge or abs(d - start) > (_ROAM - 0.01) * step
+    at_edge = peak.at_edge or abs(d - start) > (_ROAM - 0.01) * step
     J, r, theta = _linear(t, y, x, d)
     errors, dof = _errors(J, r, weight)
     centred = y - np.average(y, weights=weight)
@@ -219,7 +253,9 @@ def _refine(
         ratio=float(theta[0]),
         ratio_error=errors[0],
         explained=1.0 - float(weight @ r**2) / spread if spread > 0.0 else 0.0,
-        others=others,
+        others=peak.others,
+        low=min(d, *peak.beside, d),
+        high=max(d, *peak.beside, d),
         at_edge=at_edge,
         inverted=inverted,
         used=int(t.size),
@@ -234,7 +270,7 @@ def _linear(t: FloatArray, y: FloatArray, x: Reference, d: float) -> tuple[Float
     theta: FloatArray = np.zeros(2)
     for _ in range(4):
         w = weight[:, None]
-        theta = np.linalg.lstsq(basis.T @ (w * basis), basis.T @ (weight * y), rcond=None)[0]
+        theta = np.asarray(np.linalg.lstsq(basis.T @ (w * basis), basis.T @ (weight * y), rcond=None)[0], np.float64)
         weight = _weights(y - basis @ theta)
     J = np.concatenate([basis, (-theta[0] * x.slope(t - d))[:, None]], axis=1)
     return J, y - basis @ theta, theta

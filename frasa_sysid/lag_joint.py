@@ -11,7 +11,6 @@ from frasa_sysid.recording import FloatArray
 
 NORMAL = 1.96  # half of a 95 % interval in standard errors
 _BEST: tuple[Verdict, ...] = ("identified", "known roughly", "periodic")
-_NEXT: tuple[Verdict, ...] = (*_BEST, "filter")
 _TURNS = 3  # whole periods that a log's delay may be off, up and down
 
 
@@ -50,7 +49,7 @@ class Joint:
         agreement: of the logs; None with fewer than two.
         verdict: as for a log.
         reason: in a sentence.
-        by_frequency: the delay by frequency, where the logs move at several.
+        by_frequency: the delay by frequency, where several logs move at one each.
     """
 
     joint: str
@@ -72,9 +71,10 @@ def joint_lags(found: Sequence[Lag]) -> list[Joint]:
 
 
 def _join(name: str, several: Sequence[Lag]) -> Joint:
-    used = [one for one in several if one.verdict in _BEST]
+    # What a filter does to a sine is a delay, that of its frequency.
+    used = [one for one in several if one.verdict in _BEST or (one.verdict == "filter" and one.pure)]
     if not used:
-        used = [one for one in several if one.verdict in _NEXT]
+        used = [one for one in several if one.verdict == "filter"]
     if not used:
         return _unsaid(name, several)
     delays, errors = _unwrapped(used)
@@ -137,7 +137,7 @@ def _unwrapped(used: Sequence[Lag]) -> tuple[FloatArray, FloatArray]:
 
 
 def _by_frequency(used: Sequence[Lag], delays: FloatArray) -> tuple[AtFrequency, ...]:
-    order = sorted(range(len(used)), key=lambda i: used[i].frequency)
+    order = sorted((i for i, one in enumerate(used) if one.pure), key=lambda i: used[i].frequency)
     frequencies = np.array([used[i].frequency for i in order])
     if len(order) < 2 or not (np.diff(frequencies) > 0.2 * frequencies[:-1]).all():
         return ()

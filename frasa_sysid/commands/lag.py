@@ -2,6 +2,7 @@
 
 import argparse
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -104,7 +105,10 @@ def _show(console: Console, title: str, found: Sequence[Lag], joints: Sequence[J
     if verbose or len(found) <= FEW:
         console.print(_table(title, found))
     else:
-        console.print(f"{title}: {len(found)} delays; --verbose shows them one by one", markup=False)
+        kinds = ", ".join(
+            f"{count} {verdict}" for verdict, count in Counter(one.verdict for one in found).most_common()
+        )
+        console.print(f"{title}: {len(found)} delays ({kinds}); --verbose shows them one by one", markup=False)
     for one in joints:
         console.print(joint_words(one), markup=False, soft_wrap=True)
         for row in one.by_frequency:

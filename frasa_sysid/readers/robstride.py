@@ -51,7 +51,7 @@ def read_robstride(path: Path) -> list[Recording]:
         firmware_gain=number(config.get("kp")),
         trajectory="chirp" if "freq" in keys else "steps",
     )
-    return [assemble(path, parts, rig, extra={"config": config})]
+    return [assemble(path, parts, rig, extra={"config": config, **_joint(path, actuator)})]
 
 
 def _actuator(config: Mapping[str, Any]) -> int | None:
@@ -75,6 +75,13 @@ def joint_names(folder: Path) -> dict[int, tuple[str, str]]:
                 if isinstance(one, dict) and isinstance(one.get("id"), int)
             }
     return {}
+
+
+def _joint(path: Path, actuator: int | None) -> dict[str, str]:
+    names = joint_names(path.parent)
+    if actuator is None:
+        return {}
+    return {"joint": names[actuator][0] if actuator in names else str(actuator)}
 
 
 def _servo(path: Path, actuator: int | None) -> str:
