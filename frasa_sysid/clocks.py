@@ -14,6 +14,7 @@ from frasa_sysid.recording import FloatArray
 
 _STRETCHES = (8, 24)  # fewest and most
 _FEWEST = 24  # stamps that a drift is asked of
+_STEPS = (1.0, 0.1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # [s] that stamps may come in
 _CONFIDENCE = 0.95
 
 
@@ -81,14 +82,17 @@ def drift_ppm(t: FloatArray, other: FloatArray) -> tuple[float, float, float] | 
     plain = 1.4826 * np.median(np.abs(rest - np.median(rest))) / np.sqrt(((x - x.mean()) ** 2).sum())
     half = float(stats.t.ppf(0.5 + _CONFIDENCE / 2, x.size - 2)) * max(float(jackknife), float(plain))
     # Stamps that are whole milliseconds cannot say more than half of one over the log, however well they agree.
-    half = max(half, 0.5 * _resolution(apart) / float(np.ptp(other)))
+    half = max(half, 0.5 * max(_resolution(t), _resolution(other)) / float(np.ptp(other)))
     return 1e6 * slope, 1e6 * (slope - half), 1e6 * (slope + half)
 
 
-def _resolution(apart: FloatArray) -> float:
-    """The step of a clock's stamps [s], as it shows in differences; 1 ns where they are finer."""
-    steps = np.diff(np.unique(np.round(apart, 9)))
-    return float(steps.min()) if steps.size else 1e-9
+def _resolution(t: FloatArray) -> float:
+    """The step of a clock's stamps [s], as far as it is a decimal one; 1 ns where they are finer."""
+    beyond = t - t[0]
+    for step in _STEPS:
+        if (np.abs(beyond / step - np.round(beyond / step)) < 0.01).all():
+            return step
+    return 1e-9
 
 
 def _slope(x: FloatArray, y: FloatArray) -> float:

@@ -23,8 +23,9 @@ import numpy as np
 from frasa_sysid.errors import LogError
 from frasa_sysid.lag_bands import Agreement, Band, agreement, bands
 from frasa_sysid.lag_channels import Pair, pairs
-from frasa_sysid.lag_fit import Fitted, fit_delay, main_frequency, purity
-from frasa_sysid.recording import Recording
+from frasa_sysid.lag_fit import Fitted, fit_delay
+from frasa_sysid.lag_reference import main_frequency, purity
+from frasa_sysid.recording import FloatArray, Recording
 
 Verdict = Literal[
     "identified", "known roughly", "filter", "periodic", "too slow", "not excited", "wrong sign", "out of range"
@@ -38,6 +39,8 @@ EXPLAINED = 0.8  # of the variance of a channel, or the other is not where it co
 RATIO = 0.1  # amplitude ratio that may be missing, or differ between frequencies
 SAME = (3e-4, 0.05)  # [s] and share of the delay, up to which delays of frequencies count as the same
 CHANCE = 0.01  # below which estimates are said to disagree
+_BACK = 0.25  # of its extent that a motion must come back
+_LOOKED_AT = 4000  # samples of a motion, to see whether it turns back
 BELOW = 2.0  # amplitude ratios of bands are compared up to this many times the main frequency
 
 
@@ -122,6 +125,8 @@ def lag_of(recording: Recording, pair: Pair, longest: float = LONGEST) -> Lag:
     if len(by_band) > 1:
         together = agreement(*(np.array([getattr(one, name) for one in by_band]) for name in ("delay", "error")))
     verdict, reason = _judge(pair, fitted, by_band, together, frequency)
+    if verdict in ("identified", "known roughly") and _one_way(motion):
+        verdict, reason = "not excited", "the motion goes one way only: a delay and a filter look alike in it"
     half = max(fitted.half_width, _period(pair) / 2 if verdict == "too slow" else 0.0)
     sign = -1.0 if pair.turned else 1.0
     ends = sorted((sign * (fitted.low - half), sign * (fitted.high + half)))
@@ -143,6 +148,25 @@ def lag_of(recording: Recording, pair: Pair, longest: float = LONGEST) -> Lag:
         reason=reason,
         held=pair.against.period / 2 if pair.against.signal.name.startswith("goal") else None,
     )
+
+
+def _one_way(motion: FloatArray) -> bool:
+    """Whether a motion (T,) has one transient, or none, in one direction."""
+    stride = -(-motion.size // _LOOKED_AT)
+    values = motion[::stride].tolist()
+    enough = _BACK * (max(values) - min(values))
+    direction, low, high = 0, values[0], values[0]
+    for value in values:
+        low, high = min(low, value), max(high, value)
+        turned = -1 if high - value > enough else 1 if value - low > enough else 0
+        if turned and turned != direction:
+            if direction:
+                return False
+            direction, low, high = turned, value, value
+        elif turned:
+            # It goes on: what counts from here is how far it comes back.
+            low, high = value, value
+    return True
 
 
 def _period(pair: Pair) -> float:

@@ -16,6 +16,7 @@ from frasa_sysid.recording import FloatArray
 
 _PERIODS = 6.0  # of the slowest frequency that matters, in a piece
 _PIECES = (3, 40)
+_LOW, _HIGH = 0.1, 0.999  # shares of the power of x, below two frequencies that matter
 _SHARE = 3e-3  # of the power of x, below which a frequency is not excited
 _WIDTH = 1.5  # highest over lowest frequency of a band
 _FEWEST_CELLS = 6  # of piece and frequency, in a band
@@ -60,33 +61,33 @@ def bands(t: FloatArray, y: FloatArray, x: Reference, delay: float) -> list[Band
         return []
     # The other channel at the very same instants, so that both leak alike: x moved by the first guess.
     X = x.value(t - delay)
-    slowest = _slowest(t, X)
-    if slowest is None:
+    extent = _extent(t, X)
+    if extent is None:
         return []
-    count = int(np.clip((t[-1] - t[0]) * slowest / _PERIODS, *_PIECES))
-    lines = _lines(t, count)
+    count = int(np.clip((t[-1] - t[0]) * extent[0] / _PERIODS, *_PIECES))
+    lines = _lines(t, count, extent[1])
     if lines.size == 0:
         return []
     FX, FY = _spectra(t, np.stack([X, y]), lines, count)
     return _by_band(lines, FX, FY, delay)
 
 
-def _slowest(t: FloatArray, X: FloatArray) -> float | None:
-    """The frequency below which hardly any power lies [Hz]."""
+def _extent(t: FloatArray, X: FloatArray) -> tuple[float, float] | None:
+    """The frequencies below and above which hardly any power lies [Hz]."""
     grid = np.linspace(t[0], t[-1], min(t.size, 4096))
     values = np.interp(grid, t, X)
     power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(grid.size))) ** 2
     if not power[1:].sum() > 0.0:
         return None
     total = np.cumsum(power[1:])
-    line = int(np.searchsorted(total, 0.1 * total[-1])) + 1
-    return float(line / (grid[-1] - grid[0]))
+    low, high = (int(np.searchsorted(total, share * total[-1])) + 1 for share in (_LOW, _HIGH))
+    return float(low / (grid[-1] - grid[0])), float((high + 1) / (grid[-1] - grid[0]))
 
 
-def _lines(t: FloatArray, count: int) -> FloatArray:
+def _lines(t: FloatArray, count: int, highest: float) -> FloatArray:
     """Frequencies that a piece resolves [Hz], from the second on: the first is the window's own."""
     length = (t[-1] - t[0]) / count
-    highest = _EDGE / float(np.median(np.diff(t)))
+    highest = min(_EDGE / float(np.median(np.diff(t))), 1.5 * highest)
     lines: FloatArray = np.arange(2, min(int(highest * length), _MOST_LINES) + 1) / length
     return lines
 

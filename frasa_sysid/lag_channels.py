@@ -6,11 +6,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from frasa_sysid.errors import LogError
-from frasa_sysid.lag_reference import Reference, Relation, reference, window_mean
+from frasa_sysid.lag_reference import (
+    FEWEST,
+    Reference,
+    Relation,
+    main_frequency,
+    reference,
+    smooth,
+    window_mean,
+)
 from frasa_sysid.recording import FloatArray, Recording, Signal
 
 RATES = {"rad": "rad/s", "m": "m/s"}
-_WINDOW = 2.0  # sampling periods over which the slope of a position is taken
+_WINDOW = 2.0  # sampling periods over which the slope of a position is taken at least ...
+_NOISE = 0.03  # ... and so many that its noise is this share of the velocity ...
+_OF_PERIOD = 0.2  # ... but no more than this share of the motion's period ...
+_OF_LOG = 0.05  # ... and this of the log
 
 
 @dataclass(frozen=True)
@@ -62,14 +73,24 @@ class Pair:
         Raises:
             LogError: too few samples.
         """
-        window = 0.0
-        if self.relation == "derivative":
-            window = _WINDOW * max(self.of.period, self.against.period)
+        window = self._window() if self.relation == "derivative" else 0.0
         x = reference(self.against.signal, self.against.y, window)
         if self.of.signal.t.size < 2:
             raise LogError(f"'{self.of.signal.name}' has a single sample")
         t, y, good = window_mean(self.of.signal.t, self.of.y, window)
         return t[good], y[good], x
+
+    def _window(self) -> float:
+        """Over which the slope of the position is taken [s]: as long as its noise asks for and its motion allows."""
+        t, q = self.against.signal.t, self.against.y
+        shortest = _WINDOW * max(self.of.period, self.against.period)
+        if t.size < FEWEST or self.of.signal.t.size < FEWEST:
+            return shortest
+        noise = float(np.std(q - smooth(t, q)(t)))
+        frequency = main_frequency(self.of.signal.t, self.of.y)
+        longest = min(_OF_PERIOD / frequency, _OF_LOG * float(np.ptp(t))) if frequency > 0.0 else shortest
+        asked = np.sqrt(2.0) * noise / (_NOISE * max(float(np.std(self.of.y)), 1e-12))
+        return float(max(shortest, min(asked, longest)))
 
 
 def pairs(recording: Recording, of: str, against: str, joint: str | None = None) -> list[Pair]:

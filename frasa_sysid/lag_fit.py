@@ -12,17 +12,17 @@ import numpy as np
 from scipy import stats
 
 from frasa_sysid.errors import LogError
-from frasa_sysid.lag_reference import Mask, Reference
+from frasa_sysid.lag_reference import Mask, Reference, main_frequency
 from frasa_sysid.recording import FloatArray
 
 CONFIDENCE = 0.95
 _MOST = 20_000  # samples that are used; of more every second, third ... one
 _MOST_SCANNED = 3000  # in the scan
 _STEPS = (201, 2001)  # fewest and most of the scan
-_FINER = 4  # lines of a spectrum for one that the log resolves
 _ROUNDS = 40
 _ROAM = 3  # steps of the scan that the minimum may lie beside its best
 _ROBUST = 4.0  # median residuals from which on a sample counts little
+_OUTLIER_HOLDS = 0.1  # of what it would if its pull grew
 _BLOCKS = (6, 24)  # fewest and most
 _FEWEST = 30  # samples of y for which x must be known
 _SHARED = 0.4  # share of all samples, likewise
@@ -94,27 +94,6 @@ def fit_delay(t: FloatArray, y: FloatArray, x: Reference, limits: tuple[float, f
     if near.sum() < _FEWEST:
         raise LogError(f"{int(near.sum())} samples overlap at a delay of {1e3 * start:.1f} ms, {_FEWEST} are needed")
     return _refine(t[near], y[near], x, peak, step, inverted)
-
-
-def main_frequency(t: FloatArray, values: FloatArray) -> float:
-    """Where most of a motion's power is [Hz]; 0 where it stands still. Shapes (T,), times need not be even."""
-    line, power, width = _spectrum(t, values)
-    return float(line / width) if power[line] > 0.0 else 0.0
-
-
-def purity(t: FloatArray, values: FloatArray) -> float:
-    """Share of a motion's power that lies at its main frequency: 1 for a sine, shapes (T,)."""
-    line, power, _ = _spectrum(t, values)
-    near = slice(max(line - 2 * _FINER, 1), line + 2 * _FINER + 1)
-    total = float(power[1:].sum())
-    return float(power[near].sum()) / total if total > 0.0 else 0.0
-
-
-def _spectrum(t: FloatArray, values: FloatArray) -> tuple[int, FloatArray, float]:
-    grid = np.linspace(t[0], t[-1], int(np.clip(t.size, 16, 8192)))
-    level = np.interp(grid, t, values)
-    power = np.abs(np.fft.rfft((level - level.mean()) * np.hanning(grid.size), _FINER * grid.size)) ** 2
-    return int(power[1:].argmax()) + 1, power, float(_FINER * grid.size * (grid[1] - grid[0]))
 
 
 def _grid(t: FloatArray, x: Reference, limits: tuple[float, float]) -> FloatArray:
@@ -277,27 +256,32 @@ def _linear(t: FloatArray, y: FloatArray, x: Reference, d: float) -> tuple[Float
 
 
 def _weights(r: FloatArray) -> FloatArray:
+    """Huber's: 1 for all but outliers, whose pull does not grow further."""
     scale = _ROBUST * float(np.median(np.abs(r)))
-    return np.asarray(1.0 / (1.0 + (r / scale) ** 2) if scale > 0.0 else np.ones(r.size), dtype=np.float64)
+    if scale == 0.0:
+        return np.ones(r.size)
+    return np.asarray(scale / np.maximum(np.abs(r), scale), dtype=np.float64)
 
 
 def _errors(J: FloatArray, r: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
     """Standard errors of a, b and d (3,) and degrees of freedom, with blocks left out one by one."""
     blocks = _blocks(J, r, weight)
     count = int(blocks.max()) + 1
-    w = weight[:, None]
-    normal, right = J.T @ (w * J), J.T @ (weight * r)
+    # An outlier pulls as hard wherever the minimum is: it does not hold it. (A little, or a log that is nothing but
+    # jumps would hold it nowhere.)
+    hold = np.where(weight < 1.0, _OUTLIER_HOLDS * weight, 1.0)
+    normal = J.T @ (hold[:, None] * J)
     changes = np.zeros((count, 3))
     told = np.zeros(count)
     # What is left of the slope by d once a and b are free: only that tells something about d.
     basis, slope = J[:, :2], J[:, 2]
-    own = slope - basis @ np.linalg.lstsq(basis.T @ (w * basis), basis.T @ (weight * slope), rcond=None)[0]
+    shared = np.linalg.lstsq(basis.T @ (hold[:, None] * basis), basis.T @ (hold * slope), rcond=None)[0]
+    own = slope - basis @ shared
     for k in range(count):
         part = blocks == k
-        wk = weight[part, None]
-        less = normal - J[part].T @ (wk * J[part])
-        changes[k] = np.linalg.lstsq(less, right - J[part].T @ (weight[part] * r[part]), rcond=None)[0]
-        told[k] = float(weight[part] @ own[part] ** 2)
+        less = normal - J[part].T @ (hold[part, None] * J[part])
+        changes[k] = np.linalg.lstsq(less, -J[part].T @ (weight[part] * r[part]), rcond=None)[0]
+        told[k] = float(hold[part] @ own[part] ** 2)
     errors = np.sqrt((count - 1) / count * ((changes - changes.mean(axis=0)) ** 2).sum(axis=0))
     share = told / told.sum() if told.sum() > 0.0 else np.full(count, 1.0 / count)
     return errors, max(1.0 / float((share**2).sum()) - 1.0, 1.0)

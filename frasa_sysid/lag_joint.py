@@ -10,7 +10,7 @@ from frasa_sysid.lag_bands import Agreement, agreement
 from frasa_sysid.recording import FloatArray
 
 NORMAL = 1.96  # half of a 95 % interval in standard errors
-_BEST: tuple[Verdict, ...] = ("identified", "known roughly", "periodic")
+_BEST: tuple[Verdict, ...] = ("identified", "periodic")
 _TURNS = 3  # whole periods that a log's delay may be off, up and down
 
 
@@ -73,6 +73,8 @@ def joint_lags(found: Sequence[Lag]) -> list[Joint]:
 def _join(name: str, several: Sequence[Lag]) -> Joint:
     # What a filter does to a sine is a delay, that of its frequency.
     used = [one for one in several if one.verdict in _BEST or (one.verdict == "filter" and one.pure)]
+    if not used:
+        used = [one for one in several if one.verdict == "known roughly"]
     if not used:
         used = [one for one in several if one.verdict == "filter"]
     if not used:

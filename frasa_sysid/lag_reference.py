@@ -23,6 +23,7 @@ from frasa_sysid.recording import FloatArray, Signal
 Relation = Literal["same", "derivative"]
 FEWEST = 16  # samples of a channel
 _KNOTS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # samples from one to the next
+_FINER = 4  # lines of a spectrum for one that the log resolves
 GAP = 4.0  # median periods from which on nothing is known in between
 
 Mask = np.ndarray[tuple[int], np.dtype[np.bool_]]
@@ -137,3 +138,24 @@ def window_mean(t: FloatArray, y: FloatArray, window: float) -> tuple[FloatArray
     good = np.asarray((t - window / 2 >= t[0]) & (t + window / 2 <= t[-1]))
     good &= ~wide[np.searchsorted(t, t - window / 2)] & ~wide[np.searchsorted(t, t + window / 2)]
     return t, mean, good
+
+
+def main_frequency(t: FloatArray, values: FloatArray) -> float:
+    """Where most of a motion's power is [Hz]; 0 where it stands still. Shapes (T,), times need not be even."""
+    line, power, width = _spectrum(t, values)
+    return float(line / width) if power[line] > 0.0 else 0.0
+
+
+def purity(t: FloatArray, values: FloatArray) -> float:
+    """Share of a motion's power that lies at its main frequency: 1 for a sine, shapes (T,)."""
+    line, power, _ = _spectrum(t, values)
+    near = slice(max(line - 2 * _FINER, 1), line + 2 * _FINER + 1)
+    total = float(power[1:].sum())
+    return float(power[near].sum()) / total if total > 0.0 else 0.0
+
+
+def _spectrum(t: FloatArray, values: FloatArray) -> tuple[int, FloatArray, float]:
+    grid = np.linspace(t[0], t[-1], int(np.clip(t.size, 16, 8192)))
+    level = np.interp(grid, t, values)
+    power = np.abs(np.fft.rfft((level - level.mean()) * np.hanning(grid.size), _FINER * grid.size)) ** 2
+    return int(power[1:].argmax()) + 1, power, float(_FINER * grid.size * (grid[1] - grid[0]))

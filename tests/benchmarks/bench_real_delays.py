@@ -1,6 +1,6 @@
 """Delays, drifts and warnings that real logs of others give; and how often intervals hold a known delay.
 
-    python tests/benchmarks/bench_real_delays.py [DATA]
+    python tests/benchmarks/bench_real_delays.py [DATA]   (some minutes)
 
 DATA is a folder with the logs as they were published (`imu_on_axis/`, `mx64_dynaban/`, `robstride/`, `mx106_jandi/`,
 `robots/`); they are not part of this repository. Without it only the synthetic part runs.
@@ -77,9 +77,10 @@ def coverage() -> None:
                 errors.append(abs((one.delay or np.nan) - delay))
                 halves.append(one.half_width)
                 verdicts[one.verdict] += 1
+            name = "velocity" if speed else "position"
             size, half = 1e3 * np.array(errors), 1e3 * np.array(halves)
             print(
-                f"{kind:11} {'velocity' if speed else 'position'}  {np.median(size):13.3f} {np.quantile(size, 0.95):7.3f}"
+                f"{kind:11} {name}  {np.median(size):13.3f} {np.quantile(size, 0.95):7.3f}"
                 f" {size.max():7.3f} | {np.median(half):16.3f} {100 * (size < half).mean():9.0f} % | {dict(verdicts)}"
             )
 
@@ -148,6 +149,7 @@ def real(data: Path) -> None:
 
 
 if __name__ == "__main__":
-    coverage()
     if len(sys.argv) > 1:
         real(Path(sys.argv[1]))
+        print()
+    coverage()
