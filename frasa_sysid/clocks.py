@@ -15,6 +15,7 @@ from frasa_sysid.recording import FloatArray
 _STRETCHES = (8, 24)  # fewest and most
 _FEWEST = 24  # stamps that a drift is asked of
 _STEPS = (1.0, 0.1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # [s] that stamps may come in
+_ROUNDING = 5e-7  # [s] of seconds since 1970 as a float
 _CONFIDENCE = 0.95
 
 
@@ -90,7 +91,7 @@ def _resolution(t: FloatArray) -> float:
     """The step of a clock's stamps [s], as far as it is a decimal one; 1 ns where they are finer."""
     beyond = t - t[0]
     for step in _STEPS:
-        if (np.abs(beyond / step - np.round(beyond / step)) < 0.01).all():
+        if (np.abs(beyond - step * np.round(beyond / step)) < min(_ROUNDING, 0.01 * step)).all():
             return step
     return 1e-9
 
