@@ -37,6 +37,7 @@ bench: $(READY)
 bench-logs: $(READY)
 	$(BIN)/frasa-sysid simulate --servo mx106 --out bench_logs/mx106.mcap
 	$(BIN)/frasa-sysid simulate --servo mx64 --out bench_logs/mx64.mcap
+	$(BIN)/frasa-sysid simulate --robot --base both --seed 1 --seconds 25 --out bench_logs/robot.mcap
 
 clean:
 	rm -rf demo runs .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

@@ -63,14 +63,17 @@ class Assumed:
 
 @dataclass(frozen=True)
 class AssumedRanges:
-    """What differs from episode to episode beside the calibrated ranges."""
+    """What differs from episode to episode beside the calibrated ranges.
+
+    A measured range replaces the assumed one: of the trunk's mass, each coordinate of its centre of mass, the
+    supply, each joint's zero, and damping and friction loss of each servo class.
+    """
 
     floor_friction: Assumed = Assumed(0.25, 1.5, "1", ENVIRONMENT)
     trunk_mass: Assumed = Assumed(0.8, 1.2, "ratio", ENVIRONMENT)
     trunk_com: Assumed = Assumed(-0.005, 0.005, "m", ENVIRONMENT)
     supply_voltage: Assumed = Assumed(13.8, 16.8, "V", f"{ENVIRONMENT}: a 4-cell battery, empty to full")
     joint_zero: Assumed = Assumed(radians(-1.5), radians(1.5), "rad", ENVIRONMENT)
-    # These two are replaced, servo class by servo class, where the calibration has measured ranges.
     damping: Assumed = Assumed(0.8, 1.2, "ratio", ENVIRONMENT)
     frictionloss: Assumed = Assumed(0.8, 1.2, "ratio", ENVIRONMENT)
 

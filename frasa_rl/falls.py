@@ -1,7 +1,7 @@
 """Where an episode starts: a robot that fell and came to rest, one that is nearly standing, or one that still falls.
 
-Every start is simulated under the model of its own episode, so every
-delay buffer holds what really happened.
+Every start is simulated under the model of its own episode, after every delay buffer was filled with the
+released robot at rest: whatever a drawn delay is, no reading is of another episode or of none.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from numpy.random import Generator
 
 from frasa_rl.config import Task
 from frasa_rl.robot import Floats, Robot, pitch_of
-from frasa_sysid.calibration import ModelError
+from frasa_sysid.calibration import ModelError, hold_history
 
 Kind = Literal["any", "random", "prone", "supine", "target", "falling"]
 
@@ -105,7 +105,7 @@ def release(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, task: Task
     mujoco.mj_kinematics(model, data)
     floor = data.geom_xpos[robot.floor, 2]
     data.qpos[root + 2] += floor + task.release_height - lowest_point(model, data)
-    _fill_command_history(model, data)
+    hold_history(model, data)
 
 
 def settle(model: mujoco.MjModel, data: mujoco.MjData, task: Task, substeps: int, longest_s: float) -> bool:
@@ -150,10 +150,3 @@ def _as_asked(robot: Robot, data: mujoco.MjData, task: Task, kind: Kind) -> bool
     if kind == "prone":
         return bool(pitch > _LYING_DEG)
     return bool(pitch < -_LYING_DEG) if kind == "supine" else True
-
-
-def _fill_command_history(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Delayed servos have been told to hold for ever, not to go to zero (MuJoCo's reset)."""
-    for actuator in np.flatnonzero(model.actuator_history[:, 0] > 0):
-        samples = np.full(model.actuator_history[actuator, 0], data.ctrl[actuator])
-        mujoco.mj_initCtrlHistory(model, data, actuator, None, samples)

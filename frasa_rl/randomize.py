@@ -3,20 +3,23 @@
 Every draw starts from the stored originals, so nothing accumulates over episodes.
 """
 
+from collections.abc import Mapping
+
 import mujoco
 import numpy as np
 from numpy.random import Generator
 
 from frasa_rl.config import Assumed, Task
-from frasa_rl.robot import Floats, Robot
-from frasa_sysid.calibration import Calibration, actuators_of, apply, dofs_of, number, servo_classes, servo_law
+from frasa_rl.robot import Robot
+from frasa_sysid.calibration import Calibration, actuators_of, apply, dofs_of, number, read, servo_classes, servo_law
 
 # What a draw writes to, and what mj_setConst derives from it.
 _TOUCHED = (
     "body_mass",
     "body_inertia",
     "body_ipos",
-    "body_quat",
+    "body_sameframe",
+    "qpos0",  # zeros of joints
     "geom_friction",
     "geom_priority",
     "dof_damping",
@@ -66,17 +69,16 @@ class Randomizer:
         """
         for name, value in self._originals.items():
             getattr(self._model, name)[:] = value
-        drawn = self._draw_servos(rng)
+        drawn = self._draw_measured(rng)
         if "supply_voltage" not in drawn:
             drawn["supply_voltage"] = self._draw_voltage(rng)
         drawn["floor_friction"] = self._draw_floor(rng)
-        drawn["trunk_mass"] = self._draw_trunk(rng)
-        self._draw_joint_zeros(rng)
+        drawn["trunk_mass"] = self._draw_trunk(rng, drawn)
         # Masses, frames and armatures have changed: inverse weights and the like follow.
-        mujoco.mj_setConst(self._model, self._data)
+        apply(self._model, self._draw_joint_zeros(rng, drawn))
         return drawn
 
-    def _draw_servos(self, rng: Generator) -> dict[str, float]:
+    def _draw_measured(self, rng: Generator) -> dict[str, float]:
         """Calibrated parameters from their ranges; damping and friction loss by assumed ratios elsewhere."""
         measured = self._calibration.sample(rng) if self._calibration else {}
         ratios = {name: _uniform(rng, getattr(self._ranges, name)) for name in ("damping", "frictionloss")}
@@ -106,23 +108,26 @@ class Randomizer:
         self._model.geom_priority[self._robot.floor] = 1
         return friction
 
-    def _draw_trunk(self, rng: Generator) -> float:
+    def _draw_trunk(self, rng: Generator, measured: Mapping[str, float]) -> float:
+        """Mass and centre of mass that were not measured, around those of the model; returns the ratio of masses."""
         ratio, trunk = _uniform(rng, self._ranges.trunk_mass), self._robot.trunk
-        self._model.body_mass[trunk] *= ratio
-        self._model.body_inertia[trunk] *= ratio
-        self._model.body_ipos[trunk] += [_uniform(rng, self._ranges.trunk_com) for _ in range(3)]
-        return ratio
+        if "trunk.mass" not in measured:
+            self._model.body_mass[trunk] *= ratio
+            self._model.body_inertia[trunk] *= ratio
+        for axis, name in enumerate(("trunk.com_x", "trunk.com_y", "trunk.com_z")):
+            offset = _uniform(rng, self._ranges.trunk_com)
+            if name not in measured:
+                self._model.body_ipos[trunk, axis] += offset
+        return float(self._model.body_mass[trunk] / self._originals["body_mass"][trunk])
 
-    def _draw_joint_zeros(self, rng: Generator) -> None:
-        """Turn every actuated joint's frame about its own axis: a servo horn mounted a little off."""
-        model = self._model
-        for joint in np.unique(model.actuator_trnid[:, 0]):
-            offset = np.zeros(4)
-            mujoco.mju_axisAngle2Quat(offset, model.jnt_axis[joint], _uniform(rng, self._ranges.joint_zero))
-            body = model.jnt_bodyid[joint]
-            turned: Floats = np.zeros(4)
-            mujoco.mju_mulQuat(turned, model.body_quat[body], offset)
-            model.body_quat[body] = turned
+    def _draw_joint_zeros(self, rng: Generator, measured: Mapping[str, float]) -> dict[str, float]:
+        """Zero errors that were not measured, around those of the model: a servo horn mounted a little off."""
+        drawn = {}
+        for joint in np.unique(self._model.actuator_trnid[:, 0]):
+            name, offset = f"{self._model.joint(joint).name}.zero", _uniform(rng, self._ranges.joint_zero)
+            if name not in measured:
+                drawn[name] = read(self._model, name) + offset
+        return drawn
 
 
 def _uniform(rng: Generator, assumed: Assumed) -> float:

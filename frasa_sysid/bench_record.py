@@ -16,7 +16,7 @@ from frasa_sysid.recording import Fault, Recording, RigFacts
 
 NAME = "frasa.bench"
 VERSION = "1"
-WORDS = ("servo", "control", "trajectory")
+WORDS = ("servo", "control", "trajectory", "base")
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,8 @@ def to_fields(run: str, window: tuple[int, int], recording: Recording) -> dict[s
     rig = {f.name: getattr(recording.rig, f.name) for f in fields(RigFacts)}
     result = {"version": VERSION, "run": run, "start_ns": str(window[0]), "end_ns": str(window[1])}
     # The text of a float is the shortest that reads back as the same number.
-    result |= {name: _to_text(value) for name, value in rig.items()}
+    # A bench has no base: records of benches stay the bytes that they were before robots had one.
+    result |= {name: _to_text(value) for name, value in rig.items() if (name, value) != ("base", None)}
     result |= {
         "origin": recording.origin,
         "truth": _to_json(dict(recording.truth)),

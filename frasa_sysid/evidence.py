@@ -35,8 +35,8 @@ _BOX_VARIANCE = 1.0 / 12.0  # of a number about which only the bounds are known,
 _ON_BOUND = 1e-3  # of the unit cube
 _VAGUE = 0.25  # half-width of an interval, as a share of the bounds, that says next to nothing
 _RELATIVE = 0.5  # half-width relative to the value from which on next to nothing is known
-_FINE = 0.05  # half-width relative to the value up to which it is identified ...
-_FINE_UNSCALED = 0.01  # ... or, where the value is no scale, relative to the bounds
+_FINE = 0.03  # half-width relative to the value up to which it is identified ...
+_FINE_ABSOLUTE = 0.01  # ... or relative to the bounds, of what has no scale or is as good as absent
 _TOGETHER = 0.95  # correlation beyond which only a combination is known
 
 # Numbers for which "half of the value" is no scale: they are zero as often as not.
@@ -61,6 +61,9 @@ _UNSCALED = frozenset(
         "quad_external",
     )
 )
+
+# Those whose errors count as such, in seconds and radians.
+_ABSOLUTE = frozenset(("offset", "delay", "loop_lag", "dead_zone", "punch"))
 
 RECORD = {
     "kp": "heavier loads at the lowest gain, held still at the horizontal (up_and_down)",
@@ -101,7 +104,7 @@ class Estimate:
         name, unit: as in the problem.
         value, nominal: fitted and before.
         low, high: 95 % interval, inside the bounds.
-        verdict: `identified` (to 5 %), `known roughly`, `only in combination with ...`, `not excited` or
+        verdict: `identified` (to 3 %), `known roughly`, `only in combination with ...`, `not excited` or
             `on its bound`.
         advice: which recording would help; empty when identified.
     """
@@ -251,7 +254,8 @@ def _fine(free: FreeParameter, value: float, half: float) -> bool:
     """Whether a half-width [unit of the value] is small against the value or, without such a scale, the bounds."""
     if half <= _FINE * abs(value):
         return True
-    return free.field in _UNSCALED and half <= _FINE_UNSCALED * (free.high - free.low)
+    absent = free.field in _UNSCALED and value - half <= max(free.low, 0.0)
+    return (free.field in _ABSOLUTE or absent) and half <= _FINE_ABSOLUTE * (free.high - free.low)
 
 
 def _too_wide(free: FreeParameter, x: float, half: float) -> bool:

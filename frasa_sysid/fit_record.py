@@ -15,11 +15,11 @@ from frasa_sysid.cost import Misfit
 from frasa_sysid.effects import EFFECTS
 from frasa_sysid.evidence import IDENTIFIED, ROUGH
 from frasa_sysid.fit import FitResult
+from frasa_sysid.fit_json import SCHEMA
 from frasa_sysid.readout import SEPARATED, Readout
 from frasa_sysid.recording import FloatArray, Recording
 from frasa_sysid.resampling import Profile
 from frasa_sysid.stand_in import StandIn
-from frasa_sysid.stored_fit import SCHEMA
 
 
 @dataclass(frozen=True)

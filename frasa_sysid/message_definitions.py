@@ -56,8 +56,27 @@ float64 y
 float64 z
 {_HEADER}{_TIME}"""
 
+BATTERY_STATE = f"""std_msgs/Header header
+float32 voltage
+float32 temperature
+float32 current
+float32 charge
+float32 capacity
+float32 design_capacity
+float32 percentage
+uint8 power_supply_status
+uint8 power_supply_health
+uint8 power_supply_technology
+bool present
+float32[] cell_voltage
+float32[] cell_temperature
+string location
+string serial_number
+{_HEADER}{_TIME}"""
+
 DEFINITIONS = {
     "sensor_msgs/msg/JointState": JOINT_STATE,
     "control_msgs/msg/DynamicJointState": DYNAMIC_JOINT_STATE,
     "sensor_msgs/msg/Imu": IMU,
+    "sensor_msgs/msg/BatteryState": BATTERY_STATE,
 }

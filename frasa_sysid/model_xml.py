@@ -1,18 +1,19 @@
-"""The calibrated model as XML: the nominal file with its default classes written out and changed."""
+"""The calibrated model as XML: the nominal file with what is changed written out, and the rest included."""
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from lxml import etree
 
 from frasa_sysid.calibration import SERVO_FIELDS
 from frasa_sysid.calibration.apply import LEAST_FRICTION
+from frasa_sysid.calibration.friction import Friction
 from frasa_sysid.calibration.servo_law import SUFFIX
 from frasa_sysid.errors import ModelError
-from frasa_sysid.stored_fit import StoredFit, model_parameters
 
 _ACTUATOR_FIELDS = {"kp", "forcerange", "delay"}
+Wanted = Callable[[etree._Element], bool]
 
 
 def _parse(path: Path) -> etree._Element:
@@ -23,25 +24,25 @@ def _parse(path: Path) -> etree._Element:
         raise ModelError(f"{path} is not XML: {error}") from error
 
 
-def inlined(nominal: Path) -> etree._Element:
-    """The nominal model with the includes that hold default classes written out.
+def holds_defaults(part: etree._Element) -> bool:
+    """Whether a file has default classes, where the numbers of servos stand."""
+    return part.find("default") is not None
+
+
+def inlined(nominal: Path, wanted: Wanted = holds_defaults) -> etree._Element:
+    """The nominal model with the includes that hold what is to be changed written out.
 
     Comments are left out: those of the nominal files speak of nominal numbers.
+
+    Args:
+        nominal: the model file.
+        wanted: whether an included file, its own includes written out, is written out.
 
     Raises:
         ModelError: a file is not XML.
     """
     root = _parse(nominal)
-    for include in root.findall("include"):
-        source = nominal.parent / (include.get("file") or "")
-        part = _parse(source)
-        if part.find("default") is None:
-            continue
-        place = root.index(include)
-        children = [child for child in part if not isinstance(child, etree._Comment)]
-        for child in reversed(children):
-            root.insert(place, child)
-        root.remove(include)
+    _write_out(root, nominal.parent, wanted)
     for comment in list(root.iter(etree.Comment)):
         parent = comment.getparent()
         if parent is not None:
@@ -49,14 +50,30 @@ def inlined(nominal: Path) -> etree._Element:
     return root
 
 
+def _write_out(root: etree._Element, folder: Path, wanted: Wanted) -> None:
+    for include in list(root.iter("include")):
+        parent = include.getparent()
+        part = _parse(folder / (include.get("file") or ""))
+        _write_out(part, folder, wanted)
+        if parent is None or not wanted(part):
+            continue
+        place = parent.index(include)
+        for child in reversed([child for child in part if not isinstance(child, etree._Comment)]):
+            parent.insert(place, child)
+        parent.remove(include)
+
+
 def parts_of(nominal: Path) -> list[Path]:
     """The model file and every file it includes."""
-    return [nominal, *(nominal.parent / (one.get("file") or "") for one in _parse(nominal).iter("include"))]
+    found = [nominal]
+    for path in found:  # it grows while it is read
+        found.extend(nominal.parent / (one.get("file") or "") for one in _parse(path).iter("include"))
+    return found
 
 
 def relocate_includes(root: etree._Element, before: Path, after: Path) -> None:
     """Write the remaining includes relative to the folder the model will stand in."""
-    for include in root.findall("include"):
+    for include in root.iter("include"):
         source = (before / (include.get("file") or "")).resolve()
         include.set("file", Path(os.path.relpath(source, after.resolve())).as_posix())
 
@@ -69,26 +86,43 @@ def _remove(parent: etree._Element, child: etree._Element) -> None:
     parent.remove(child)
 
 
-def write_class(root: etree._Element, stored: StoredFit, nominal: Path) -> None:
-    """Write the fitted numbers of a servo into its default class, and its law beside it, all digits kept.
+def write_class(
+    root: etree._Element, servo: str, fields: Mapping[str, float], law: Friction | None, nominal: Path
+) -> None:
+    """Write the numbers of a servo into its default class, and its law beside it, all digits kept.
+
+    Args:
+        root: the model.
+        servo: name of the class.
+        fields: numbers by field; those of a law are taken from `law`.
+        law: beyond Coulomb-viscous.
+        nominal: named in errors.
 
     Raises:
         ModelError: the model does not have exactly one default class of that name.
     """
-    places = [one for one in root.iter("default") if one.get("class") == stored.servo]
-    if len(places) != 1:
-        raise ModelError(f"{nominal}: expected one default class '{stored.servo}', found {len(places)}")
-    joint, actuator = (_child(places[0], tag) for tag in ("joint", "position"))
-    fitted = {name.rpartition(".")[2]: float(one["value"]) for name, one in model_parameters(stored).items()}
-    law = stored.model_law
+    joint, actuator = (_child(class_of(root, servo, nominal), tag) for tag in ("joint", "position"))
+    written = dict(fields)
     if law is not None:
         # Other programs see the Coulomb part alone; above zero, for the row that the law fills.
-        fitted["frictionloss"] = max(law.coulomb, LEAST_FRICTION)
-        write_number(root, f"{stored.servo}{SUFFIX}", [law.viscous, *law.coefficients()])
-    for field, value in fitted.items():
+        written["frictionloss"] = max(law.coulomb, LEAST_FRICTION)
+        write_number(root, f"{servo}{SUFFIX}", [law.viscous, *law.coefficients()])
+    for field, value in written.items():
         if field in SERVO_FIELDS:
             target = actuator if field in _ACTUATOR_FIELDS else joint
             target.set(field, f"-{value!r} {value!r}" if field == "forcerange" else repr(value))
+
+
+def class_of(root: etree._Element, servo: str, nominal: Path) -> etree._Element:
+    """The default class of a servo.
+
+    Raises:
+        ModelError: the model does not have exactly one of that name.
+    """
+    places = [one for one in root.iter("default") if one.get("class") == servo]
+    if len(places) != 1:
+        raise ModelError(f"{nominal}: expected one default class '{servo}', found {len(places)}")
+    return places[0]
 
 
 def _child(parent: etree._Element, tag: str) -> etree._Element:

@@ -1,7 +1,8 @@
 """From fits to `calibrated.xml` and `randomization.yaml`: a pure function of nominal model and fit files.
 
-The model's default classes get the fitted numbers, and its custom numbers the friction laws
-beyond Coulomb-viscous; everything else is included as in the nominal model.
+The model's default classes get the fitted numbers of servos, its custom numbers the friction laws beyond
+Coulomb-viscous, its sensors the delays, its joints the zeros and its trunk the mass that a fit of the
+whole robot found; everything else is included as in the nominal model.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,13 +29,17 @@ from frasa_sysid.calibration import (
 from frasa_sysid.calibration.apply import PRESENT_SUPPLY
 from frasa_sysid.calibration.friction import LAWS
 from frasa_sysid.calibration.load import RANGES_FILE
+from frasa_sysid.claims import Claims, check_model, settle, short_delays
 from frasa_sysid.errors import InputError, ModelError, QualityError
+from frasa_sysid.history_room import longest_delays, room_for
 from frasa_sysid.model_xml import inlined, parts_of, relocate_includes, write_class, write_id, write_number
-from frasa_sysid.published_as import price
 from frasa_sysid.published_check import check_compiled
+from frasa_sysid.published_headline import headline
 from frasa_sysid.published_ranges import SUPPLY, ranges_of
 from frasa_sysid.recording import FloatArray
-from frasa_sysid.stored_fit import StoredFit, model_parameters
+from frasa_sysid.robot_xml import wanted_parts, write_robot, write_room
+from frasa_sysid.stored_fit import StoredFit
+from frasa_sysid.stored_robot_fit import StoredRobotFit
 
 REPLAY_TOLERANCE = 1e-4  # [rad] between the published model and what the fit saw
 REPLAY_TOLERANCE_LAW = 1e-3  # [rad] the same with a law, whose friction MuJoCo's solver softens
@@ -48,54 +53,60 @@ class Published:
         xml: text of the calibrated model.
         ranges: text of the ranges file.
         calibration: the same ranges as data.
+        claims: which fit says what in it.
     """
 
     xml: str
     ranges: str
     calibration: Calibration
+    claims: Claims
 
 
-def publish(fits: Sequence[StoredFit], nominal: Path, out: Path) -> Published:
+def publish(fits: Sequence[StoredFit], nominal: Path, out: Path, robot: StoredRobotFit | None = None) -> Published:
     """Make the calibrated model and its ranges, as texts.
 
     Args:
-        fits: one or more; two may not claim one parameter. For Coulomb-viscous stand-ins: `as_m1` of them.
+        fits: of servos; two may not claim one parameter. For Coulomb-viscous stand-ins: `as_m1` of them.
         nominal: the model they started from.
         out: where the model will stand; includes are written relative to it.
+        robot: a fit of the whole robot, which may stand on those of servos; see `claims`.
 
     Raises:
-        CalibrationError: two fits claim one parameter, or a fit was stated at another supply or gain.
-        ModelError: the nominal model lacks a class, is not XML, is calibrated already, carries a friction law,
-            or would be overwritten.
+        CalibrationError: two fits claim one parameter, a fit was stated at another supply or gain, or made with
+            another robot.
+        ModelError: the nominal model lacks a class, sensor, joint or trunk, is not XML, is calibrated already,
+            carries a friction law, or would be overwritten.
     """
     _check_place(nominal, out)
     model = load_model(nominal)
-    ordered = sorted(fits, key=lambda one: (one.servo, one.sha256))
-    _check_claims(ordered)
-    root = inlined(nominal)
-    _check_stated(ordered, nominal, model)
-    key = _identity(ordered, root)
+    claims = settle(fits, robot)
+    _check_stated(claims, nominal, model)
+    check_model(claims, model)
+    root = inlined(nominal, wanted_parts(claims.body_values()))
+    key = _identity(claims, root)
     relocate_includes(root, nominal.parent, out.parent)
-    calibration = ranges_of(ordered, key, {stored.servo: delay_room(model, stored.servo) for stored in ordered})
-    for stored in ordered:
-        write_class(root, stored, nominal)
+    calibration = ranges_of(claims, key, {one.servo: delay_room(model, one.servo) for one in claims.benches})
+    laws = claims.laws()
+    for servo, fields in claims.servos().items():
+        write_class(root, servo, fields, laws.get(servo), nominal)
+    write_robot(root, claims.body_values(), nominal, model)
+    write_room(root, room_for(model, longest_delays(calibration.ranges, claims.robot_values())), nominal)
     if SUPPLY in calibration.ranges:
         write_number(root, PRESENT_SUPPLY, [calibration.ranges[SUPPLY].value])
     write_id(root, key)
     root.set("model", "sigmaban_calibrated" if root.get("model") == "sigmaban_nominal" else f"{root.get('model')}_cal")
-    root.insert(0, etree.Comment(_headline(ordered, key)))
+    root.insert(0, etree.Comment(headline(claims, key, short_delays(claims, model.opt.timestep))))
     etree.indent(root)
     xml = etree.tostring(root, encoding="unicode").rstrip() + "\n"
     heading = (
         "# Generated by frasa-sysid publish; do not edit. Measured ranges only: what is assumed stands in frasa_rl.\n"
     )
     ranges = heading + yaml.safe_dump(calibration.to_dict(), sort_keys=False, width=110)
-    return Published(xml, ranges, calibration)
+    return Published(xml, ranges, calibration, claims)
 
 
 def write(
     published: Published,
-    fits: Sequence[StoredFit],
     nominal: Path,
     out: Path,
     check: Callable[[mujoco.MjModel], None] | None = None,
@@ -103,8 +114,7 @@ def write(
     """Write both files after MuJoCo has compiled the model and every number was read back from it.
 
     Args:
-        published: what `publish` made.
-        fits: whose numbers must be found again in the compiled model.
+        published: what `publish` made; the numbers of its fits must be found again in the compiled model.
         nominal: the model they started from.
         out: the model file; the ranges go beside it.
         check: a last look at the compiled model, which raises when it is not good.
@@ -120,7 +130,7 @@ def write(
     try:
         write_atomic(candidate, published.xml)
         model = load_model(candidate)
-        check_compiled(model, published.calibration.id, fits, nominal)
+        check_compiled(model, published.calibration, published.claims, nominal)
         if check is not None:
             check(model)
         ranges = out.with_name(RANGES_FILE)
@@ -170,52 +180,26 @@ def _check_place(nominal: Path, out: Path) -> None:
         raise ModelError(f"{out} is part of the nominal model, which publishing never changes; choose another --out")
 
 
-def _check_claims(fits: Sequence[StoredFit]) -> None:
-    owners: dict[str, str] = {}
-    for stored in fits:
-        for name in model_parameters(stored):
-            if name in owners:
-                raise CalibrationError(f"two fits claim {name}: {owners[name][:12]} and {stored.sha256[:12]}")
-            owners[name] = stored.sha256
-    if not owners:
-        raise CalibrationError("the fits hold no parameter of a model")
-
-
-def _check_stated(fits: Sequence[StoredFit], nominal: Path, model: mujoco.MjModel) -> None:
-    for stored in fits:
-        read(model, f"{stored.servo}.kp")  # the class exists
-        for key, value in stored.stated.items():
+def _check_stated(claims: Claims, nominal: Path, model: mujoco.MjModel) -> None:
+    stated = [(f"fit of {one.servo}", one.stated) for one in claims.benches]
+    if claims.robot is not None:
+        stated.append(("fit of the robot", claims.robot.stated))
+    for servo in claims.servos():
+        read(model, f"{servo}.kp")  # the class exists
+    for whose, numbers in stated:
+        for key, value in numbers.items():
             here = number(model, f"servo_{key}")
             if not np.isclose(here, value):
                 raise CalibrationError(
-                    f"the fit of {stored.servo} states {key} = {value}, {nominal} has {here}; fit again from this model"
+                    f"the {whose} states {key} = {value}, {nominal} has {here}; fit again from this model"
                 )
 
 
-def _identity(fits: Sequence[StoredFit], root: etree._Element) -> str:
+def _identity(claims: Claims, root: etree._Element) -> str:
     # A stand-in is another robot than the fit it comes from.
-    fitted = "".join(stored.sha256 + ("as m1" if stored.stands_for else "") for stored in fits)
-    content = etree.tostring(root) + fitted.encode()
+    fitted = "".join(stored.sha256 + ("as m1" if stored.stands_for else "") for stored in claims.benches)
+    content = etree.tostring(root) + fitted.encode() + (claims.robot.sha256.encode() if claims.robot else b"")
     return sha256_of(content)[:16]
-
-
-def _headline(fits: Sequence[StoredFit], key: str) -> str:
-    lines = [
-        " Generated by frasa-sysid publish; do not edit.",
-        f"  Calibration {key}. Fitted numbers, their 95 % interval and verdict:",
-    ]
-    for stored in fits:
-        lines.append(f"  {stored.servo} from {len(stored.inputs)} file(s) of {stored.origin} logs:")
-        if stored.model_law is not None:
-            lines.append(f"    friction law {stored.friction}; without frasa's load_model only its Coulomb part acts")
-        if stored.stands_for:
-            lines.append(f"    {price(stored)}")
-        for name, one in model_parameters(stored).items():
-            interval = f"({one['low']:.4g} .. {one['high']:.4g}) {one['unit']}"
-            lines.append(f"    {name} = {one['value']:.6g} {interval}: {one['verdict']}")
-        lines.extend(f"    not in this model: {one}" for one in stored.not_in_model)
-    # XML allows no double hyphen in a comment.
-    return "\n  ".join(lines).replace("--", "- -") + "\n  "
 
 
 def find_fits(folder: Path) -> list[Path]:

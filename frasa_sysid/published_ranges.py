@@ -6,33 +6,37 @@ from typing import Any
 import numpy as np
 
 from frasa_sysid.calibration import Calibration, Range
+from frasa_sysid.claims import Claims
 from frasa_sysid.published_as import price
-from frasa_sysid.recording import FloatArray
+from frasa_sysid.published_robot_ranges import FLOOR_DELAY, FLOOR_RELATIVE, Block, robot_block, robot_ranges
 from frasa_sysid.stored_fit import StoredFit, model_parameters
+from frasa_sysid.stored_robot_fit import StoredRobotFit
 
-FLOOR_RELATIVE = 0.02  # [1] of the value: another unit or another day differs by more than any interval says
-FLOOR_DELAY = 0.0005  # [s] a bus is not steadier than this
 SUPPLY = "supply_voltage"
 LEAST_SUPPLY = 0.5  # [1] of the stated supply; readings below are gaps of a sensor, no servo runs on so little
 _LEAST = {"stribeck_speed": 0.01}  # [rad/s]; the law divides by it
 
 
-def ranges_of(fits: Sequence[StoredFit], key: str, rooms: Mapping[str, float]) -> Calibration:
+def ranges_of(claims: Claims, key: str, rooms: Mapping[str, float]) -> Calibration:
     """The ranges of every published parameter, correlated as in its fit.
 
     Args:
-        fits: as they are published; no two of one servo.
+        claims: what is published.
         key: calibration id.
-        rooms: longest delay that the model can hold [s], by servo.
+        rooms: longest delay that the model can hold [s], by servo, for those that a bench fit tells.
     """
     ranges: dict[str, Range] = {}
-    blocks: list[tuple[tuple[str, ...], FloatArray]] = []
-    for stored in fits:
+    blocks: list[Block] = []
+    for stored in claims.benches:
         known = {name: one for name, one in model_parameters(stored).items() if "not excited" not in one["verdict"]}
         ranges.update({name: _range(stored, name, one, rooms[stored.servo]) for name, one in known.items()})
         index = [i for i, name in enumerate(stored.correlated) if name in known]
         blocks.append((tuple(stored.correlated[i] for i in index), stored.correlation[np.ix_(index, index)]))
-    ranges.update(_supply(fits))
+    if claims.robot is not None:
+        told = robot_ranges(claims.robot, claims.instead)
+        ranges.update(told)
+        blocks.append(robot_block(claims.robot, told))
+    ranges.update(_supply(claims))
     names = tuple(name for block, _ in blocks for name in block)
     matrix = np.eye(len(names))
     start = 0
@@ -63,17 +67,25 @@ def _range(stored: StoredFit, name: str, one: dict[str, Any], room: float) -> Ra
     return Range(max(low, min(value, _LEAST.get(field, 0.0))), value, high, one["unit"], origin)
 
 
-def _supply(fits: Sequence[StoredFit]) -> dict[str, Range]:
-    """One supply feeds all servos: what any fit has seen, joined with the one at which their gains are stated."""
-    seen = [one.supply_seen for one in fits if one.supply_seen is not None]
+def _supply(claims: Claims) -> dict[str, Range]:
+    """One supply feeds all servos: the robot's battery, else what any bench has seen.
+
+    It is joined with the supply at which the servos' gains are stated, where the model stands.
+    """
+    robot = claims.robot
+    sources: Sequence[StoredFit | StoredRobotFit] = claims.benches
+    if robot is not None and robot.supply_seen is not None:
+        sources = [robot]
+    seen = [(one, one.supply_seen) for one in sources if one.supply_seen is not None]
     if not seen:
         return {}
-    stated = fits[0].stated[SUPPLY]
-    low = max(LEAST_SUPPLY * stated, min(stated * (1.0 - FLOOR_RELATIVE), *(one[0] for one in seen)))
-    high = max(stated * (1.0 + FLOOR_RELATIVE), *(one[1] for one in seen))
-    logs = ", ".join(f"{one.sha256[:12]} of {one.origin} logs" for one in fits if one.supply_seen is not None)
+    stated = seen[0][0].stated[SUPPLY]
+    low = max(LEAST_SUPPLY * stated, min(stated * (1.0 - FLOOR_RELATIVE), *(pair[0] for _, pair in seen)))
+    high = max(stated * (1.0 + FLOOR_RELATIVE), *(pair[1] for _, pair in seen))
+    logs = ", ".join(f"{one.sha256[:12]} of {one.origin} logs" for one, _ in seen)
+    kind = "robot fit" if seen[0][0] is robot else "fit"
     origin = (
-        f"fit {logs}: 2.5 and 97.5 % quantiles of the supply measured while powered, joined with the {stated:g} V at "
-        f"which gains and torque limits are stated, at least +-{FLOOR_RELATIVE:.0%}"
+        f"{kind} {logs}: 2.5 and 97.5 % quantiles of the supply measured while powered, joined with the {stated:g} V "
+        f"at which gains and torque limits are stated, at least +-{FLOOR_RELATIVE:.0%}"
     )
     return {SUPPLY: Range(low, stated, high, "V", origin)}

@@ -114,6 +114,7 @@ class RigFacts:
         control: `position` (goal angles), `voltage` (open loop), or `force` (a linear axis whose
             drive force is known; the loop around it, if there is one, need not be).
         trajectory: name of the excitation.
+        base: of a robot: `fixed` while its trunk is hung or held, `floating` on the ground.
     """
 
     servo: str | None = None
@@ -126,6 +127,7 @@ class RigFacts:
     supply_voltage: float | None = None
     control: Literal["position", "voltage", "force"] = "position"
     trajectory: str | None = None
+    base: Literal["fixed", "floating"] | None = None
 
     def __post_init__(self) -> None:
         for name in ("mass", "length", "arm_mass", "inertia", "gravity_torque", "firmware_gain", "supply_voltage"):
@@ -134,6 +136,8 @@ class RigFacts:
                 raise LogError(f"rig fact {name} = {value}: expected a finite number, zero or more")
         if self.control not in ("position", "voltage", "force"):
             raise LogError(f"rig fact control = '{self.control}': expected 'position', 'voltage' or 'force'")
+        if self.base not in (None, "fixed", "floating"):
+            raise LogError(f"rig fact base = '{self.base}': expected 'fixed' or 'floating'")
 
     def known(self) -> dict[str, Any]:
         """The facts that are known, by name."""

@@ -124,7 +124,7 @@ def bench_run(recording: Recording, servo: Servo, timestep: float) -> BenchRun:
         kp_scale=1.0 if absolute else _gain(recording) / servo.firmware_gain * supply / servo.supply_voltage,
         force_scale=1.0 if absolute else supply / servo.supply_voltage,
         control=rig.control,
-        command=_held_means(drive, start, steps, timestep),
+        command=held_means(drive, start, steps, timestep),
         lead=0,
         supply=_supply_course(recording, start, steps, timestep),
         switches=switches,
@@ -228,7 +228,7 @@ def _switches(recording: Recording, start: float) -> tuple[FloatArray, bool]:
     return enable.t[turns] - start, bool(on[0])
 
 
-def _held_means(drive: Signal, start: float, steps: int, timestep: float) -> FloatArray:
+def held_means(drive: Signal, start: float, steps: int, timestep: float) -> FloatArray:
     """Mean over each physics step of the held command, shape (steps,)."""
     times = drive.t - start
     integral = np.concatenate([[0.0], np.cumsum(drive.y[:-1] * np.diff(times))])

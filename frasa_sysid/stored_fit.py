@@ -1,6 +1,5 @@
 """A fit as it stands on disk, read back for publishing and comparing; files from strangers are not trusted."""
 
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -9,17 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from frasa_sysid.calibration import LAW_FIELDS, SERVO_FIELDS, parameter, sha256_of
+from frasa_sysid.calibration import LAW_FIELDS, SERVO_FIELDS, parameter
 from frasa_sysid.calibration.friction import COEFFICIENTS, FIELDS, LAWS, Friction
 from frasa_sysid.calibration.parameters import LAW_COEFFICIENTS
 from frasa_sysid.effects import EFFECTS
 from frasa_sysid.errors import InputError
+from frasa_sysid.fit_json import SCHEMA_M1, SERVO, checked_interval, checked_number, checked_text, read_json
 from frasa_sysid.recording import FloatArray
 
-SCHEMA_M1, SCHEMA = "frasa.fit/1", "frasa.fit/2"  # the first knows Coulomb-viscous friction only
-_LARGEST = 50_000_000  # [bytes]
 _MOST_PARAMETERS = 1000  # every rig may have an offset of its own
-_LONGEST = 500  # characters of a text that is quoted elsewhere
 _OFFSET = re.compile(r"bench\.offset(\[.*\])?", re.DOTALL)
 _SIGNED = ("offset", "bias", "drag")
 NUMBERS = ("value", "low", "high", "spread_low", "spread_high")
@@ -96,19 +93,11 @@ def load(path: Path) -> StoredFit:
     Raises:
         InputError: missing, not a fit file, or a wrong field (named).
     """
+    data, sha256 = read_json(path)
+    if data.get("kind", SERVO) != SERVO:
+        raise InputError(f"{path} is a fit of kind '{str(data['kind'])[:20]}'; expected one of a servo")
     try:
-        if path.stat().st_size > _LARGEST:
-            raise InputError(f"{path}: larger than any fit file")
-        content = path.read_bytes()
-        data = json.loads(content)
-    except FileNotFoundError:
-        raise InputError(f"no fit at {path}: make one with frasa-sysid fit LOG...") from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not a fit file: {error}") from error
-    if not isinstance(data, dict) or data.get("schema") not in (SCHEMA_M1, SCHEMA):
-        raise InputError(f"{path} is not a fit file: expected schema '{SCHEMA}' or '{SCHEMA_M1}'")
-    try:
-        stored = _stored(data, sha256_of(content))
+        stored = _stored(data, sha256)
         _check_parameters(stored)
         _check_law(stored)
         return stored
@@ -131,12 +120,12 @@ def _stored(data: dict[str, Any], sha256: str) -> StoredFit:
     if max(len(names), len(data["parameters"])) > _MOST_PARAMETERS:
         raise ValueError(f"more than {_MOST_PARAMETERS} parameters")
     stored = StoredFit(
-        servo=_text(data["servo"]),
+        servo=checked_text(data["servo"]),
         parameters={
             str(name): {
                 **{key: float(one[key]) for key in NUMBERS},
-                "unit": _text(one["unit"]),
-                "verdict": _text(one["verdict"]),
+                "unit": checked_text(one["unit"]),
+                "verdict": checked_text(one["verdict"]),
             }
             for name, one in data["parameters"].items()
         },
@@ -144,7 +133,7 @@ def _stored(data: dict[str, Any], sha256: str) -> StoredFit:
         correlation=np.array(data["correlation"]["matrix"], dtype=np.float64).reshape(len(names), len(names)),
         stated={key: float(data["stated_at"][key]) for key in ("supply_voltage", "firmware_gain")},
         inputs={str(name): str(digest) for name, digest in data["inputs"].items()},
-        origin=_text(data["origin"]),
+        origin=checked_text(data["origin"]),
         sha256=sha256,
     )
     if data["schema"] == SCHEMA_M1:
@@ -152,50 +141,25 @@ def _stored(data: dict[str, Any], sha256: str) -> StoredFit:
     from_logs = data.get("from_logs") or {}
     return replace(
         stored,
-        friction=_text(data["friction"]),
-        law=Friction(**{name: _positive(data["law"][name], name) for name in ("viscous", *FIELDS)}),
+        friction=checked_text(data["friction"]),
+        law=Friction(**{name: checked_number(data["law"][name], name) for name in ("viscous", *FIELDS)}),
         stand_in=None if data.get("as_m1") is None else _stand_in(data["as_m1"]),
-        not_in_model=tuple(_text(one) for one in data.get("not_in_model", [])),
-        supply_seen=_interval(from_logs.get("supply_voltage"), "supply_voltage", 0.0),
-        delay_jitter=_interval(from_logs.get("delay_jitter"), "delay_jitter", -np.inf),
+        not_in_model=tuple(checked_text(one) for one in data.get("not_in_model", [])),
+        supply_seen=checked_interval(from_logs.get("supply_voltage"), "supply_voltage", 0.0),
+        delay_jitter=checked_interval(from_logs.get("delay_jitter"), "delay_jitter", -np.inf),
     )
 
 
 def _stand_in(data: Mapping[str, Any]) -> StandIn:
-    loads = _interval(data["loads"], "loads", -np.inf)
+    loads = checked_interval(data["loads"], "loads", -np.inf)
     if loads is None:
         raise ValueError("as_m1 without loads")
     return StandIn(
-        values={field: _positive(data["mujoco"][field], field) for field in SERVO_FIELDS},
-        penalty_rad=_positive(data["penalty_rad"], "penalty_rad"),
+        values={field: checked_number(data["mujoco"][field], field) for field in SERVO_FIELDS},
+        penalty_rad=checked_number(data["penalty_rad"], "penalty_rad"),
         loads=loads,
-        speed=_positive(data["speed"], "speed"),
+        speed=checked_number(data["speed"], "speed"),
     )
-
-
-def _text(value: Any) -> str:  # noqa: ANN401 (whatever JSON holds)
-    """A text that can be quoted in XML and YAML as it is."""
-    if not isinstance(value, str) or len(value) > _LONGEST or not value.isprintable():
-        raise ValueError(f"expected up to {_LONGEST} printable characters, found {str(value)[:80]!r}")
-    return value
-
-
-def _positive(value: Any, name: str) -> float:  # noqa: ANN401
-    number = float(value)
-    if not (np.isfinite(number) and number >= 0.0):
-        raise ValueError(f"{name} = {number}, expected a finite number, not negative")
-    return number
-
-
-def _interval(value: Any, name: str, least: float) -> tuple[float, float] | None:  # noqa: ANN401
-    if value is None:
-        return None
-    if not isinstance(value, list):
-        raise ValueError(f"{name}: expected [low, high], found {str(value)[:80]!r}")
-    low, high = (float(one) for one in value)
-    if not (np.isfinite([low, high]).all() and least <= low <= high):
-        raise ValueError(f"{name}: {low} .. {high} is not finite, not in order or too low")
-    return low, high
 
 
 def _check_parameters(stored: StoredFit) -> None:

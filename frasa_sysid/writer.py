@@ -23,11 +23,13 @@ from frasa_sysid.recording import FloatArray, Recording, Signal
 
 EPOCH = 1_577_836_800 * 10**9  # ns; 2020-01-01T00:00:00Z, so that the bytes depend on the data alone
 SECOND = 10**9
+NAN = float("nan")
 CHUNK_SIZE = 2**17  # bytes; small, so that a file cut short loses little
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 DYNAMIC_JOINT_STATE = "control_msgs/msg/DynamicJointState"
 IMU = "sensor_msgs/msg/Imu"
+BATTERY_STATE = "sensor_msgs/msg/BatteryState"
 
 # Signals with a place in a message of their own; every other is an interface of DynamicJointState.
 JOINT_FIELDS = {
@@ -116,6 +118,8 @@ def _used_definitions(recordings: Sequence[Recording]) -> dict[str, str]:
 def _schema(signal: Signal) -> str:
     if _is_imu(signal):
         return IMU
+    if _is_battery(signal):
+        return BATTERY_STATE
     return JOINT_STATE if signal.name in JOINT_FIELDS else DYNAMIC_JOINT_STATE
 
 
@@ -123,12 +127,18 @@ def _is_imu(signal: Signal) -> bool:
     return signal.name in IMU_FIELDS and (signal.unit, signal.columns) == IMU_FIELDS[signal.name][1:]
 
 
+def _is_battery(signal: Signal) -> bool:
+    """Whether it is the robot's own supply and survives the single precision of a BatteryState."""
+    whole = bool((signal.y == signal.y.astype(np.float32)).all())
+    return signal.name == "supply_voltage" and signal.columns == ("battery",) and whole
+
+
 def _messages(recording: Recording, start: int) -> Iterator[tuple[int, str, str, dict[str, Any]]]:
     """Stamp, topic, message type and content, in order of time."""
     joint = recording.rig.servo or "joint"
     messages: Messages = defaultdict(dict)
     for _, signal in sorted(recording.signals.items()):
-        add = _add_imu if _is_imu(signal) else _add_joints if signal.name in JOINT_FIELDS else _add_interface
+        add = ADD[_schema(signal)]
         add(messages, signal, start, signal.columns or (joint,))
     for (stamp, topic, schema, joints), content in sorted(messages.items(), key=lambda item: item[0]):
         yield stamp, topic, schema, _finish(schema, stamp, joints, content)
@@ -156,11 +166,23 @@ def _add_imu(messages: Messages, signal: Signal, start: int, joints: tuple[str, 
         messages[stamp, "/imu/data", IMU, ()][quantity] = dict(zip(axes, row, strict=True))
 
 
+def _add_battery(messages: Messages, signal: Signal, start: int, joints: tuple[str, ...]) -> None:
+    for stamp, row in _samples(signal, start):
+        messages[stamp, "/battery_state", BATTERY_STATE, ()]["voltage"] = row[0]
+
+
+ADD = {JOINT_STATE: _add_joints, DYNAMIC_JOINT_STATE: _add_interface, IMU: _add_imu, BATTERY_STATE: _add_battery}
+
+
 def _finish(schema: str, stamp: int, joints: tuple[str, ...], content: dict[str, Any]) -> dict[str, Any]:
     seconds, nanoseconds = divmod(stamp, SECOND)
     header = {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": "imu" if schema == IMU else ""}
     if schema == JOINT_STATE:
         return {"header": header, "name": list(joints), **content}
+    if schema == BATTERY_STATE:
+        # By the message's definition NaN marks what is not measured.
+        unknown = dict.fromkeys(("current", "charge", "capacity", "design_capacity", "percentage", "temperature"), NAN)
+        return {"header": header, **unknown, "present": True, **content}
     if schema == DYNAMIC_JOINT_STATE:
         names = list(content)
         values = [

@@ -1,10 +1,20 @@
-"""Paths that several test folders need."""
+"""Paths, and a hand-made fit of a whole robot, that several test folders need."""
 
+import shutil
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
 
 import frasa_sysid  # noqa: F401 (before numpy, whose threads it keeps to one)
+
+# isort: split
+import numpy as np
+
+from frasa_sysid.calibration import load_model
+from frasa_sysid.model_mark import mark_of
+from frasa_sysid.robot_fit_record import RobotEstimate, RobotFitRecord, base_numbers, with_products
+from frasa_sysid.stored_fit import StoredFit
 
 REPO_ROOT = Path(__file__).resolve().parent.parent
 
@@ -22,3 +32,76 @@ def shared_dir() -> Path:
     if not path.is_dir():
         pytest.skip("no reference tables: expected a folder 'shared' beside the repository")
     return path
+
+
+# What the virtual robot's fit finds: no delay is a multiple of the step of 2 ms, and one needs a longer history.
+ROBOT_DELAYS = {
+    "sensor.position_delay": 0.0043,
+    "sensor.velocity_delay": 0.0317,
+    "sensor.gyro_delay": 0.0529,
+    "sensor.orientation_delay": 0.0911,
+    "mx64.delay": 0.0057,
+    "mx106.delay": 0.0371,
+}
+ROBOT_ZEROS = {
+    "left_knee.zero": -0.0213,
+    "right_knee.zero": 0.0171,
+    "left_hip_yaw.zero": 0.0087,
+    "head_pitch.zero": 0.0,
+}
+ROBOT_TRUNK = {"trunk.mass": 3.41, "trunk.com_x": -0.0021, "trunk.com_z": 0.0733}
+ROBOT_SCALES = {"mx106.gain_scale": 0.93, "mx106.damping_scale": 1.08, "mx106.friction_scale": 1.25}
+
+
+@pytest.fixture(scope="session")
+def robot_record(robot_model_dir: Path) -> Callable[..., RobotFitRecord]:
+    """A maker of fits of the whole robot, as the fitter writes them, on the bench fits it is given."""
+    nominal = load_model(robot_model_dir / "nominal.xml")
+
+    def estimate(name: str, value: float, base: float, half: float) -> RobotEstimate:
+        spread, verdict = (value - 2 * half, value + half), "identified"
+        if name == "head_pitch.zero":
+            spread, verdict = (value, value), "not excited"
+        return RobotEstimate(name, value, value - half, value + half, verdict, base, spread, (value - half, value))
+
+    def make(fits: Sequence[StoredFit] = (), **changes: object) -> RobotFitRecord:
+        base = base_numbers(nominal, fits)
+        plain = {**ROBOT_DELAYS, **ROBOT_ZEROS, **ROBOT_TRUNK}
+        half = {"zero": 0.001, "mass": 0.03}
+        found = [
+            estimate(name, value, base.get(name, 0.0), half.get(name.rpartition(".")[2], 0.0004))
+            for name, value in plain.items()
+        ]
+        scales = [estimate(name, value, 1.0, 0.03) for name, value in ROBOT_SCALES.items()]
+        free = [one.name for one in (*found, *scales)]
+        matrix = np.eye(len(free))
+        matrix[2, 3] = matrix[3, 2] = 0.8  # gyro and orientation come over one bus
+        matrix[-3, -2] = matrix[-2, -3] = -0.6  # gain and damping
+        facts = {
+            "estimates": with_products((*found, *scales), base),
+            "correlated": tuple(free),
+            "correlation": matrix,
+            "base": "fixed",
+            "model": mark_of(nominal),
+            "stated": {"supply_voltage": 15.0, "firmware_gain": 12.0},
+            "frozen": tuple(one.sha256 for one in fits),
+            "inputs": {"robot.mcap": "0" * 64},
+            "origin": "simulated",
+            "supply_voltage": (13.9, 16.1),
+            "delay_jitter": (-0.0003, 0.0005),
+            "not_in_model": ("position delay: known as a sum with the command delay only",),
+        }
+        return RobotFitRecord(**{**facts, **changes})
+
+    return make
+
+
+@pytest.fixture
+def model_dir(robot_model_dir: Path, tmp_path: Path) -> Path:
+    """A copy of the nominal robot model in a folder of its own."""
+    folder = tmp_path / "robot_model"
+    folder.mkdir()
+    for path in robot_model_dir.glob("*.xml"):
+        if path.name != "calibrated.xml":
+            shutil.copy(path, folder)
+    return folder

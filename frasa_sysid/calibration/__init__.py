@@ -14,6 +14,7 @@ from frasa_sysid.calibration.apply import (
     number,
     read,
     servo_classes,
+    trunk_of,
 )
 from frasa_sysid.calibration.command_line import add_json_flag, plain, run_command, say
 from frasa_sysid.calibration.errors import (
@@ -26,14 +27,25 @@ from frasa_sysid.calibration.errors import (
     UsageError,
 )
 from frasa_sysid.calibration.files import sha256_of, sha256_of_file, write_atomic
+from frasa_sysid.calibration.history import hold_history
 from frasa_sysid.calibration.load import calibration_id, load_calibration, load_model, read_calibration
-from frasa_sysid.calibration.parameters import LAW_FIELDS, SENSOR_FIELDS, SERVO_FIELDS, Parameter, parameter
+from frasa_sysid.calibration.parameters import (
+    JOINT_FIELDS,
+    LAW_FIELDS,
+    SENSOR_FIELDS,
+    SERVO_FIELDS,
+    TRUNK_FIELDS,
+    Parameter,
+    parameter,
+)
 from frasa_sysid.calibration.ranges import Calibration, Range
 
 __all__ = [
+    "JOINT_FIELDS",
     "LAW_FIELDS",
     "SENSOR_FIELDS",
     "SERVO_FIELDS",
+    "TRUNK_FIELDS",
     "Calibration",
     "CalibrationError",
     "FrasaError",
@@ -51,6 +63,7 @@ __all__ = [
     "delay_room",
     "delayed_sensors",
     "dofs_of",
+    "hold_history",
     "load_calibration",
     "load_model",
     "number",
@@ -63,5 +76,6 @@ __all__ = [
     "servo_classes",
     "sha256_of",
     "sha256_of_file",
+    "trunk_of",
     "write_atomic",
 ]

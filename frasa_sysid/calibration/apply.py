@@ -4,7 +4,8 @@ Which actuators belong to a servo class stands in the model itself: a custom tup
 named after the class lists them. The supply voltage and firmware gain at which gains
 and force limits hold are the custom numbers `servo_supply_voltage` and
 `servo_firmware_gain`. Delays are MuJoCo's own (`actuator_delay`, `sensor_delay`).
-Friction laws beyond Coulomb-viscous are custom numbers too (see `servo_law`).
+Friction laws beyond Coulomb-viscous are custom numbers too (see `servo_law`). Zero errors
+of joints, and the trunk, are in `bodies`.
 
 A model whose supply may change also has the custom number `present_supply_voltage`: its
 actuators hold what gain and force limit are at that supply, while `kp` and `forcerange`,
@@ -12,15 +13,15 @@ written and read here, stay those at the stated one.
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from frasa_sysid.calibration import bodies
 from frasa_sysid.calibration.errors import ModelError
-from frasa_sysid.calibration.parameters import LAW_COEFFICIENTS, LAW_FIELDS, Parameter, parameter
+from frasa_sysid.calibration.parameters import JOINT_FIELDS, LAW_COEFFICIENTS, LAW_FIELDS, Parameter, parameter
 
 if TYPE_CHECKING:  # it brings the compiler
     from frasa_sysid.calibration.friction import Friction
@@ -63,6 +64,20 @@ def dofs_of(model: mujoco.MjModel, actuators: npt.NDArray[np.int64]) -> npt.NDAr
     return np.asarray(model.jnt_dofadr[model.actuator_trnid[actuators, 0]], dtype=np.int64)
 
 
+def trunk_of(model: mujoco.MjModel) -> int:
+    """The body that carries all servos: the one with the free joint, or the root of a fixed base.
+
+    Raises:
+        ModelError: the model has no servo class, or its servos belong to several robots.
+    """
+    servos = servo_classes(model)
+    joints = [model.actuator_trnid[actuators_of(model, one), 0] for one in servos]
+    roots = np.unique(model.body_rootid[model.jnt_bodyid[np.concatenate(joints)]]) if joints else np.zeros(0)
+    if roots.size != 1:
+        raise ModelError(f"expected one body that carries all servos of {', '.join(servos) or 'no class'}")
+    return int(roots[0])
+
+
 def delay_room(model: mujoco.MjModel, servo: str) -> float:
     """Longest command delay [s] that the history buffers of a servo class can hold."""
     return float(model.actuator_history[actuators_of(model, servo), 0].min() * model.opt.timestep)
@@ -86,8 +101,8 @@ def apply(model: mujoco.MjModel, values: Mapping[str, float]) -> None:
 
     Raises:
         CalibrationError: a name that does not exist.
-        ModelError: a class, delay buffer, friction law or present supply the model does not have, a delay
-            too long for its buffer, or a coefficient that a law cannot be evaluated with.
+        ModelError: a class, joint, trunk, delay buffer, friction law or present supply the model does not have, a
+            delay too long for its buffer, a coefficient that a law cannot be evaluated with, or a mass that is none.
     """
     laws: dict[str, dict[str, float]] = {}
     for name, value in values.items():
@@ -98,6 +113,10 @@ def apply(model: mujoco.MjModel, values: Mapping[str, float]) -> None:
             _set_sensor_delay(model, one, value)
         elif one.owner == "robot":
             _set_supply(model, value)
+        elif one.field in JOINT_FIELDS:
+            bodies.set_zero(model, one.owner, value)
+        elif one.owner == "trunk":
+            bodies.set_trunk(model, trunk_of(model), one.field, value)
         elif one.field not in LAW_FIELDS:
             _set_servo(model, one, value)
     for servo, coefficients in laws.items():
@@ -110,7 +129,7 @@ def read(model: mujoco.MjModel, name: str) -> float:
 
     Raises:
         CalibrationError: no such parameter.
-        ModelError: the model has no such class, or not the friction law or present supply it speaks of.
+        ModelError: the model has no such class or joint, or not the friction law or present supply it speaks of.
     """
     one = parameter(name)
     if one.owner == "robot":
@@ -118,6 +137,10 @@ def read(model: mujoco.MjModel, name: str) -> float:
     if one.owner == "sensor":
         found = delayed_sensors(model, one.field)
         return float(model.sensor_delay[found[0]]) if found.size else 0.0
+    if one.field in JOINT_FIELDS:
+        return bodies.zero_of(model, one.owner)
+    if one.owner == "trunk":
+        return bodies.trunk_number(model, trunk_of(model), one.field)
     first = actuators_of(model, one.owner)[:1]
     law = _law(model, one.owner) if one.field in LAW_COEFFICIENTS else None
     if law is not None:
@@ -194,13 +217,7 @@ def _set_coefficients(model: mujoco.MjModel, servo: str, coefficients: dict[str,
         raise _no_law(servo)
     from frasa_sysid.calibration import servo_law
 
-    followers = {
-        f"load_external{suffix}": coefficients[f"load_motor{suffix}"]
-        for suffix in ("", "_stribeck")
-        if f"load_motor{suffix}" in coefficients
-        and getattr(law, f"load_motor{suffix}") == getattr(law, f"load_external{suffix}")
-    }
-    servo_law.set_law(model, servo, replace(law, **{**followers, **coefficients}))
+    servo_law.set_law(model, servo, law.changed(coefficients))
 
 
 def _supply_ratio(model: mujoco.MjModel) -> float:

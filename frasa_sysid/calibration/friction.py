@@ -26,7 +26,7 @@ M6   quadratic                            as M5, and Q_m, Q_e
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -101,6 +101,20 @@ class Friction:
         return np.asarray(
             self.viscous * np.abs(speed) + self.coulomb + loaded + fade * (self.stribeck + static + squared)
         )
+
+    def changed(self, coefficients: Mapping[str, float]) -> "Friction":
+        """The law with other coefficients; where motor and load share one (M3, M4), the load's follows the motor's.
+
+        Args:
+            coefficients: by attribute; a load's own is kept apart where it is given.
+        """
+        followers = {
+            f"load_external{suffix}": coefficients[f"load_motor{suffix}"]
+            for suffix in ("", "_stribeck")
+            if f"load_motor{suffix}" in coefficients
+            and getattr(self, f"load_motor{suffix}") == getattr(self, f"load_external{suffix}")
+        }
+        return replace(self, **{**followers, **coefficients})
 
     def coefficients(self) -> FloatArray:
         """What `friction_loss` takes, in its order, shape (10,)."""

@@ -2,7 +2,9 @@
 
 A parameter is data: a name, a unit, physical bounds and the field it sets. Names
 are `<servo class>.<field>` for actuators (`mx106.damping`), `sensor.<field>` for
-delays of what the robot measures (`sensor.gyro_delay`), and `supply_voltage`.
+delays of what the robot measures (`sensor.gyro_delay`), `<joint>.zero` for the zero
+error of a joint's encoder (`left_knee.zero`), `trunk.<field>` for the trunk's mass and
+centre of mass, and `supply_voltage`.
 """
 
 from dataclasses import dataclass
@@ -15,9 +17,10 @@ class Parameter:
     """One number of the model.
 
     Attributes:
-        name: `mx106.damping`, `sensor.gyro_delay`, `supply_voltage`.
-        owner: servo class, `sensor` or `robot`.
-        field: what is set; see `SERVO_FIELDS`, `LAW_FIELDS`, `SENSOR_FIELDS` and `ROBOT_FIELDS`.
+        name: `mx106.damping`, `sensor.gyro_delay`, `left_knee.zero`, `trunk.mass`, `supply_voltage`.
+        owner: servo class, joint, `sensor`, `trunk` or `robot`.
+        field: what is set; see `SERVO_FIELDS`, `LAW_FIELDS`, `SENSOR_FIELDS`, `JOINT_FIELDS`, `TRUNK_FIELDS` and
+            `ROBOT_FIELDS`.
         unit: SI unit as text.
         meaning: one sentence.
     """
@@ -27,6 +30,11 @@ class Parameter:
     field: str
     unit: str
     meaning: str
+
+    @property
+    def signed(self) -> bool:
+        """Whether it may be negative: zeros and positions may, everything else may not."""
+        return self.field in SIGNED_FIELDS
 
 
 SERVO_FIELDS: dict[str, tuple[str, str]] = {
@@ -61,6 +69,16 @@ SENSOR_FIELDS: dict[str, tuple[str, str]] = {
     "gyro_delay": ("s", "age of the angular rate when it is read"),
     "orientation_delay": ("s", "age of the trunk orientation when it is read"),
 }
+JOINT_FIELDS: dict[str, tuple[str, str]] = {
+    "zero": ("rad", "zero error of the joint's encoder: measured angle less true angle"),
+}
+TRUNK_FIELDS: dict[str, tuple[str, str]] = {
+    "mass": ("kg", "mass of the trunk; its inertia is proportional to it"),
+    "com_x": ("m", "centre of mass of the trunk in its body's frame, x"),
+    "com_y": ("m", "centre of mass of the trunk in its body's frame, y"),
+    "com_z": ("m", "centre of mass of the trunk in its body's frame, z"),
+}
+SIGNED_FIELDS = frozenset(("zero", "com_x", "com_y", "com_z"))
 ROBOT_FIELDS: dict[str, tuple[str, str]] = {
     "supply_voltage": ("V", "present supply of all servos; their gains and torque limits are proportional to it"),
 }
@@ -73,11 +91,15 @@ def parameter(name: str) -> Parameter:
         CalibrationError: no such parameter; the message lists the fields there are.
     """
     owner, _, field = ("robot", "", name) if name in ROBOT_FIELDS else name.partition(".")
-    fields = {"sensor": SENSOR_FIELDS, "robot": ROBOT_FIELDS}.get(owner, SERVO_FIELDS | LAW_FIELDS)
+    fields = {"sensor": SENSOR_FIELDS, "trunk": TRUNK_FIELDS, "robot": ROBOT_FIELDS}.get(owner)
+    if fields is None and name.endswith(".zero"):  # names of joints may hold dots
+        owner, field, fields = name.removesuffix(".zero"), "zero", JOINT_FIELDS
+    fields = SERVO_FIELDS | LAW_FIELDS if fields is None else fields
     if not owner or field not in fields or (owner == "robot" and name != field):
         raise CalibrationError(
             f"unknown parameter '{name}': expected <servo>.<{'|'.join([*SERVO_FIELDS, *LAW_FIELDS])}>, "
-            f"sensor.<{'|'.join(SENSOR_FIELDS)}> or {'|'.join(ROBOT_FIELDS)}"
+            f"sensor.<{'|'.join(SENSOR_FIELDS)}>, <joint>.<{'|'.join(JOINT_FIELDS)}>, trunk.<{'|'.join(TRUNK_FIELDS)}> "
+            f"or {'|'.join(ROBOT_FIELDS)}"
         )
     unit, meaning = fields[field]
     return Parameter(name, owner, field, unit, meaning)

@@ -21,7 +21,7 @@ class Range:
     """A value and the interval that the evidence allows.
 
     Attributes:
-        low, value, high: in `unit`, 0 <= low <= value <= high; nothing that is calibrated can be negative.
+        low, value, high: in `unit`, low <= value <= high; what may be negative says `Parameter.signed`.
         unit: SI unit as text.
         origin: where the interval comes from, in words.
     """
@@ -33,10 +33,8 @@ class Range:
     origin: str
 
     def __post_init__(self) -> None:
-        if not (np.isfinite([self.low, self.value, self.high]).all() and 0.0 <= self.low <= self.value <= self.high):
-            raise CalibrationError(
-                f"range {self.low} .. {self.value} .. {self.high} is negative, not in order or not finite"
-            )
+        if not (np.isfinite([self.low, self.value, self.high]).all() and self.low <= self.value <= self.high):
+            raise CalibrationError(f"range {self.low} .. {self.value} .. {self.high} is not in order or not finite")
 
 
 @dataclass(frozen=True)
@@ -57,8 +55,11 @@ class Calibration:
 
     def __post_init__(self) -> None:
         for name, one in self.ranges.items():
-            if parameter(name).unit != one.unit:
-                raise CalibrationError(f"{name} is in [{one.unit}], expected [{parameter(name).unit}]")
+            known = parameter(name)
+            if known.unit != one.unit:
+                raise CalibrationError(f"{name} is in [{one.unit}], expected [{known.unit}]")
+            if one.low < 0.0 and not known.signed:
+                raise CalibrationError(f"the range of {name} begins at {one.low}; it cannot be negative")
         matrix = np.array(self.correlation, dtype=np.float64)
         size = len(self.correlated)
         unknown = sorted(set(self.correlated) - set(self.ranges))

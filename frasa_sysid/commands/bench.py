@@ -39,15 +39,13 @@ class Bench:
 
     @property
     def inputs(self) -> dict[str, str]:
-        """sha256 by source file, as it was given; of an absolute path the name, for a fit is no map of a machine."""
-        sources = {one.source: one.sha256 for one in (*self.train, *self.held_out)}
-        return {Path(name).name if Path(name).is_absolute() else name: digest for name, digest in sources.items()}
+        """sha256 by source file."""
+        return inputs_of([*self.train, *self.held_out])
 
     @property
     def origin(self) -> str:
         """`real`, `simulated` or `mixed`."""
-        origins = {one.origin for one in (*self.train, *self.held_out)}
-        return origins.pop() if len(origins) == 1 else "mixed"
+        return origin_of([*self.train, *self.held_out])
 
     def session(self, model: Path, threads: int | None, timestep: float | None = None) -> BenchSession:
         """The equations and threads of this servo's bench; use as a context manager."""
@@ -100,12 +98,12 @@ def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(f"--{name.replace('_', '-')}", type=float, metavar=unit.upper(), help=help_text)
 
 
-def load_bench(args: argparse.Namespace, hold_out: str = "none") -> Bench:
-    """Read the logs of a command.
+def read_logs(args: argparse.Namespace) -> list[Recording]:
+    """Recordings of all logs of a command, with what the command line says about them; their faults are shown.
 
     Raises:
-        LogError: an unreadable log, one that lacks a signal or fact, or two of one name.
-        UsageError: no log in a folder, no threads, or a bad hold-out rule.
+        LogError: an unreadable log, or two of one name.
+        UsageError: no log in a folder, or no threads.
     """
     if args.threads is not None and args.threads < 1:
         raise UsageError(f"--threads {args.threads}: expected 1 or more")
@@ -116,6 +114,36 @@ def load_bench(args: argparse.Namespace, hold_out: str = "none") -> Bench:
     _check_names(recordings)
     if any(recording.faults for recording in recordings):
         show_faults(people_console(), recordings)
+    return recordings
+
+
+def inputs_of(recordings: Sequence[Recording]) -> dict[str, str]:
+    """sha256 by source file, as it was given; of an absolute path the name, for a fit is no map of a machine."""
+    sources = {one.source: one.sha256 for one in recordings}
+    return {Path(name).name if Path(name).is_absolute() else name: digest for name, digest in sources.items()}
+
+
+def origin_of(recordings: Sequence[Recording]) -> str:
+    """`real`, `simulated` or `mixed`."""
+    origins = {one.origin for one in recordings}
+    return origins.pop() if len(origins) == 1 else "mixed"
+
+
+def load_bench(
+    args: argparse.Namespace, hold_out: str = "none", recordings: Sequence[Recording] | None = None
+) -> Bench:
+    """The bench of a command's logs.
+
+    Args:
+        args: of the command.
+        hold_out: rule.
+        recordings: of the logs, where they have been read already.
+
+    Raises:
+        LogError: an unreadable log, one that lacks a signal or fact, or two of one name.
+        UsageError: no log in a folder, no threads, or a bad hold-out rule.
+    """
+    recordings = read_logs(args) if recordings is None else recordings
     name = servo_name(recordings, args.servo)
     servo, nominal = stated_servo(name, args.model)
     train, held_out = split(recordings, hold_out)

@@ -9,17 +9,20 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from frasa_sysid import stored_fit
+from frasa_sysid import published_as
 from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.bootstrap import full_bootstrap
 from frasa_sysid.calibration import add_json_flag, load_model, say, servo_classes
 from frasa_sysid.calibration.friction import LAWS
 from frasa_sysid.choice import Choice, choose
-from frasa_sysid.commands.bench import Bench, add_bench_arguments, bench_model, load_bench, people_console
-from frasa_sysid.commands.publish import add_as_flag, publish_files
+from frasa_sysid.claims import settle
+from frasa_sysid.commands.bench import Bench, add_bench_arguments, bench_model, load_bench, people_console, read_logs
+from frasa_sysid.commands.fit_robot import add_robot_arguments, fit_robot_logs, is_robot
+from frasa_sysid.commands.publish import add_as_flag, load_fits, publish_files
 from frasa_sysid.effects import EFFECTS
-from frasa_sysid.errors import InterruptedRunError, UsageError
+from frasa_sysid.errors import CalibrationError, InterruptedRunError, UsageError
 from frasa_sysid.fit import RESTARTS, FitResult, fit
+from frasa_sysid.fit_json import read_json
 from frasa_sysid.fit_record import Extras, log_facts, save, to_json
 from frasa_sysid.identifiability import bench_findings, next_logs
 from frasa_sysid.problem import state_problem
@@ -71,6 +74,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("--out", type=Path, metavar="FIT", help="fit file [fits/SERVO.json beside --model]")
     parser.add_argument("--publish", action="store_true", help="write calibrated.xml and randomization.yaml")
     add_as_flag(parser)
+    add_robot_arguments(parser)
     parser.add_argument("--no-report", action="store_true", help="leave out the HTML page")
     add_json_flag(parser)
     parser.set_defaults(run=run)
@@ -85,7 +89,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         InterruptedRunError: Ctrl-C; the best so far was saved.
     """
     effects = _checked(args)
-    bench = load_bench(args, args.hold_out)
+    recordings = read_logs(args)
+    if any(is_robot(one) for one in recordings):
+        return fit_robot_logs(args, recordings)
+    bench = load_bench(args, args.hold_out, recordings)
     out = args.out or args.model.parent / "fits" / f"{bench.servo.name}.json"
     if out.suffix != ".json":
         raise UsageError(f"--out {out}: expected a name that ends in .json")
@@ -240,7 +247,7 @@ def _check_publishable(args: argparse.Namespace, bench: Bench, out: Path) -> Non
     for path in sorted(out.parent.glob("*.json")):
         if path.name == out.name or path.name.endswith(".partial.json"):
             continue
-        if stored_fit.load(path).servo == bench.servo.name:
+        if read_json(path)[0].get("servo") == bench.servo.name:
             raise UsageError(f"--publish: {path} is a fit of {bench.servo.name} too; remove it, or give --out {path}")
 
 
@@ -254,8 +261,15 @@ def _publish(
         worst, runs = replay(model, result, extras.stand_in if as_m1 else None, session)
         say(f"{model_path} replays the {runs} runs within {worst * 1e3:.2g} mrad of the fit")
 
-    fits = [stored_fit.load(path) for path in find_fits(out.parent)]
-    return model_path, publish_files(fits, args.model, model_path, check, args.as_law)
+    fits, robot = load_fits(find_fits(out.parent))
+    try:
+        settle([published_as.as_m1(one) for one in fits] if args.as_law == "m1" else fits, robot)
+    except CalibrationError as error:
+        if robot is None:
+            raise
+        say(f"the fit of the robot is left out: {error}")
+        robot = None
+    return model_path, publish_files(fits, args.model, model_path, check, args.as_law, robot)
 
 
 def show(result: FitResult, extras: Extras) -> None:

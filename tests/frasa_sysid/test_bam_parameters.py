@@ -14,12 +14,13 @@ from frasa_sysid.calibration.friction import COEFFICIENTS, LAWS, Friction, law_o
 from frasa_sysid.cli import build_parser
 from frasa_sysid.cost import misfit
 from frasa_sysid.errors import InputError
+from frasa_sysid.fit_json import SCHEMA
 from frasa_sysid.problem import stated_servo
 from frasa_sysid.readers import read_log
 from frasa_sysid.rig import runs_of
 from frasa_sysid.servo import NOMINAL, PUBLISHED_M4, servo
 from frasa_sysid.servo_values import ServoValues
-from frasa_sysid.stored_fit import SCHEMA, StoredFit
+from frasa_sysid.stored_fit import StoredFit
 from frasa_sysid.writer import write_mcap
 
 # As Rhoban/bam publishes it (Apache-2.0), for the numbers that `PUBLISHED_M4` was copied from.

@@ -84,6 +84,18 @@ def fit_words(place, *more, log="few.mcap"):
     return ["fit", log, "--model", place / "robot_model" / "nominal.xml", "--evaluations", 20, *more]
 
 
+@pytest.mark.parametrize("frozen", [(), ("0" * 64,)])
+def test_a_new_bench_fit_leaves_the_robots_out(place, capsys, robot_record, frozen):
+    """A fit of the robot that did not stand on the new bench fit is named, not published, and not touched."""
+    beside = place / "robot_model" / "fits" / "robot.json"
+    robot_record(frozen=frozen).save(beside)
+    content = beside.read_bytes()
+    assert frasa(*fit_words(place, "--publish")) == 0
+    assert "the fit of the robot is left out" in capsys.readouterr().err
+    assert beside.read_bytes() == content
+    assert read(load_model(place / "robot_model" / "calibrated.xml"), "left_knee.zero") == 0.0
+
+
 def test_fit_and_publish(place, capsys):
     """One command from a log to a calibrated model: everything promised is printed, everything named exists."""
     before = (place / "robot_model" / "nominal.xml").read_bytes()

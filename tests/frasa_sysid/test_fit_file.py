@@ -8,8 +8,9 @@ import pytest
 
 from frasa_sysid.calibration.friction import Friction
 from frasa_sysid.errors import CalibrationError, InputError
+from frasa_sysid.fit_json import SCHEMA, SCHEMA_M1
 from frasa_sysid.published_as import as_m1, price
-from frasa_sysid.stored_fit import SCHEMA, SCHEMA_M1, load, model_parameters
+from frasa_sysid.stored_fit import load, model_parameters
 
 M4 = Friction(0.12, 0.05, 0.08, 0.06, 0.06, 0.1, 0.1, stribeck_speed=0.4, stribeck_exponent=1.2)
 VALUES = {

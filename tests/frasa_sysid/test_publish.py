@@ -1,12 +1,11 @@
 import json
-import shutil
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
 
-from frasa_sysid import stored_fit
+from frasa_sysid import fit_json, stored_fit
 from frasa_sysid.calibration import CalibrationError, calibration_id, load_calibration, load_model, parameter, read
 from frasa_sysid.errors import InputError, ModelError, QualityError
 from frasa_sysid.publish import check_replay, find_fits, publish, replay_tolerance, write
@@ -36,7 +35,7 @@ def fit_of(servo, folder, **changes):
     names = list(parameters)
     matrix = 0.5 * np.ones((len(names),) * 2) + 0.5 * np.eye(len(names))
     data = {
-        "schema": stored_fit.SCHEMA_M1,
+        "schema": fit_json.SCHEMA_M1,
         "servo": servo,
         "origin": "simulated",
         "stated_at": {"supply_voltage": 15.0, "firmware_gain": 12.0},
@@ -47,17 +46,6 @@ def fit_of(servo, folder, **changes):
     path = folder / f"{servo}.json"
     path.write_text(json.dumps(data))
     return stored_fit.load(path)
-
-
-@pytest.fixture
-def model_dir(robot_model_dir, tmp_path):
-    """A copy of the nominal robot model in a folder of its own."""
-    folder = tmp_path / "robot_model"
-    folder.mkdir()
-    for path in robot_model_dir.glob("*.xml"):
-        if path.name != "calibrated.xml":
-            shutil.copy(path, folder)
-    return folder
 
 
 @pytest.fixture
@@ -73,7 +61,7 @@ def contents(folder):
 def test_compiled_numbers_are_the_fitted_ones(model_dir, fits):
     """Every actuator of a class holds its fit's numbers to the last bit; everything else is as in the nominal model."""
     out = model_dir / "calibrated.xml"
-    write(publish(fits, model_dir / "nominal.xml", out), fits, model_dir / "nominal.xml", out)
+    write(publish(fits, model_dir / "nominal.xml", out), model_dir / "nominal.xml", out)
     model, nominal = load_model(out), load_model(model_dir / "nominal.xml")
     for stored in fits:
         for name, one in stored_fit.model_parameters(stored).items():
@@ -91,7 +79,7 @@ def test_same_input_same_bytes(model_dir, fits):
     before, made = contents(model_dir), []
     out = model_dir / "calibrated.xml"
     for order in (fits, fits[::-1]):
-        write(publish(order, model_dir / "nominal.xml", out), order, model_dir / "nominal.xml", out)
+        write(publish(order, model_dir / "nominal.xml", out), model_dir / "nominal.xml", out)
         after = contents(model_dir)
         made.append({name: after.pop(name) for name in ("calibrated.xml", "randomization.yaml")})
         assert after == before
@@ -104,7 +92,7 @@ def test_another_fit_is_another_id(model_dir, fits, tmp_path):
     ids = {publish(fits, nominal, out).calibration.id, publish(fits[:1], nominal, out).calibration.id}
     ids.add(publish([fit_of("mx106", tmp_path, kp=24.9000001), fits[1]], nominal, out).calibration.id)
     assert len(ids) == 3
-    write(publish(fits, nominal, out), fits, nominal, out)
+    write(publish(fits, nominal, out), nominal, out)
     assert load_calibration(out).id == calibration_id(load_model(out)) in ids
 
 
@@ -139,7 +127,7 @@ def test_unexcited_numbers_get_no_range(model_dir, fits):
 def test_another_folder_still_compiles(model_dir, fits, tmp_path):
     """A model published elsewhere finds the nominal parts from there."""
     out = tmp_path / "else" / "where" / "robot.xml"
-    write(publish(fits, model_dir / "nominal.xml", out), fits, model_dir / "nominal.xml", out)
+    write(publish(fits, model_dir / "nominal.xml", out), model_dir / "nominal.xml", out)
     assert load_model(out).nu == load_model(model_dir / "nominal.xml").nu
     assert load_calibration(out).values()["mx64.forcerange"] == 4.25
     assert [path.name for path in sorted(out.parent.iterdir())] == ["randomization.yaml", "robot.xml"]
@@ -171,7 +159,7 @@ def test_the_nominal_model_is_never_overwritten(model_dir, fits, name):
 def test_only_nominal_models_are_published_from(model_dir, fits, tmp_path):
     """A calibrated model, one without the class, one without its supply, and no model are refused."""
     nominal, out = model_dir / "nominal.xml", model_dir / "calibrated.xml"
-    write(publish(fits, nominal, out), fits, nominal, out)
+    write(publish(fits, nominal, out), nominal, out)
     with pytest.raises(ModelError, match="calibrated already"):
         publish(fits, out, tmp_path / "twice.xml")
     with pytest.raises(ModelError, match="no servo class 'mx64'"):
@@ -188,11 +176,11 @@ def test_a_number_that_was_altered(model_dir, fits):
     """Text that does not compile to the fitted numbers is not published; the old files stay."""
     nominal, out = model_dir / "nominal.xml", model_dir / "calibrated.xml"
     published = publish(fits, nominal, out)
-    write(published, fits, nominal, out)
+    write(published, nominal, out)
     before = contents(model_dir)
     for old, new in (('kp="24.9"', 'kp="24.90001"'), (published.calibration.id, "0" * 16)):
         with pytest.raises(QualityError, match="nothing was published"):
-            write(replace(published, xml=published.xml.replace(old, new)), fits, nominal, out)
+            write(replace(published, xml=published.xml.replace(old, new)), nominal, out)
         assert contents(model_dir) == before
 
     def refuse(model):
@@ -200,7 +188,7 @@ def test_a_number_that_was_altered(model_dir, fits):
         raise QualityError("no")
 
     with pytest.raises(QualityError, match="no"):
-        write(publish(fits[:1], nominal, out), fits[:1], nominal, out, refuse)
+        write(publish(fits[:1], nominal, out), nominal, out, refuse)
     assert contents(model_dir) == before
 
 
@@ -209,7 +197,7 @@ def test_a_delay_longer_than_the_history(model_dir, tmp_path):
     long = [fit_of("mx106", tmp_path, delay=0.04)]
     nominal, out = model_dir / "nominal.xml", model_dir / "calibrated.xml"
     with pytest.raises(ModelError, match="does not fit"):
-        write(publish(long, nominal, out), long, nominal, out)
+        write(publish(long, nominal, out), nominal, out)
     assert not out.exists()
 
 
@@ -217,7 +205,7 @@ def test_words_of_a_stranger(model_dir, fits):
     """Text in a fit file cannot break out of the comment it is quoted in."""
     odd = replace(fits[0], origin="--><worldbody/><!-- real --")
     published = publish([odd], model_dir / "nominal.xml", model_dir / "calibrated.xml")
-    write(published, [odd], model_dir / "nominal.xml", model_dir / "calibrated.xml")
+    write(published, model_dir / "nominal.xml", model_dir / "calibrated.xml")
     assert "<worldbody/>" not in published.xml.replace("- -><worldbody/>", "")
 
 

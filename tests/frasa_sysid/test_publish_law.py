@@ -3,7 +3,6 @@
 import argparse
 import copy
 import json
-import shutil
 from dataclasses import asdict, replace
 
 import mujoco
@@ -26,9 +25,10 @@ from frasa_sysid.calibration import (
 )
 from frasa_sysid.calibration.friction import COEFFICIENTS, LAWS, Friction
 from frasa_sysid.calibration.parameters import LAW_COEFFICIENTS
+from frasa_sysid.fit_json import SCHEMA
 from frasa_sysid.publish import publish, write
 from frasa_sysid.published_as import as_m1
-from frasa_sysid.stored_fit import SCHEMA, load, model_parameters
+from frasa_sysid.stored_fit import load, model_parameters
 
 NATIVE = {"kp": 24.9, "forcerange": 7.77, "damping": 1.1, "armature": 0.03, "delay": 0.0071}
 STAND_IN = {"kp": 24.9, "damping": 1.3, "frictionloss": 0.21, "armature": 0.031, "forcerange": 7.77, "delay": 0.0071}
@@ -94,22 +94,11 @@ def fit_of(folder, law="m4", servo="mx106", friction=None, **more):
     return load(path)
 
 
-@pytest.fixture
-def model_dir(robot_model_dir, tmp_path):
-    """A copy of the nominal robot model in a folder of its own."""
-    folder = tmp_path / "robot_model"
-    folder.mkdir()
-    for path in robot_model_dir.glob("*.xml"):
-        if path.name != "calibrated.xml":
-            shutil.copy(path, folder)
-    return folder
-
-
 def published(fits, folder):
     """Publish and write; returns what was made and the model file."""
     nominal, out = folder / "nominal.xml", folder / "calibrated.xml"
     made = publish(fits, nominal, out)
-    write(made, fits, nominal, out)
+    write(made, nominal, out)
     return made, out
 
 
@@ -215,7 +204,7 @@ def test_a_coefficient_that_was_altered(model_dir, tmp_path):
     ):
         assert old in made.xml
         with pytest.raises(error):
-            write(replace(made, xml=made.xml.replace(old, new)), fits, nominal, out)
+            write(replace(made, xml=made.xml.replace(old, new)), nominal, out)
         assert not out.exists()
 
 

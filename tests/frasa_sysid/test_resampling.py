@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from frasa_sysid.bootstrap import full_bootstrap
-from frasa_sysid.evidence import IDENTIFIED, ROUGH, evidence
+from frasa_sysid.evidence import evidence
 from frasa_sysid.finish import finish
 from frasa_sysid.readers import read_log
 from frasa_sysid.resampling import leave_one_out, one_step_bootstrap, profile_likelihoods, worst_pairs
@@ -100,10 +100,10 @@ def test_bootstrap_and_jackknife_agree(fitted):
     compared = 0
     for one, (low, high) in zip(weighed.estimates, weighed.bootstrap, strict=True):
         assert low <= one.value <= high
-        if one.verdict in (IDENTIFIED, ROUGH):
+        if one.high - one.low < 0.5 * abs(one.value):
             compared += 1
             assert 0.25 < (high - low) / (one.high - one.low) < 2.5, one
-    assert compared >= 5
+    assert compared >= 4
     assert len(weighed.bootstrap) == len(problem.free)
 
 

@@ -188,5 +188,5 @@ def test_emps(shared_dir, robot_model_dir, tmp_path, capsys):
     assert found["emps.armature"] == pytest.approx(95.1089, abs=3 * 0.1085)
     assert found["emps.damping"] == pytest.approx(203.5034, abs=3 * 1.146)
     assert found["emps.frictionloss"] == pytest.approx(20.3935, abs=3 * 0.1012)
-    assert {one["verdict"] for one in fit["parameters"].values()} == {"identified"}
+    assert {one["verdict"] for one in fit["parameters"].values()} <= {IDENTIFIED, ROUGH}
     assert not fit["multimodal"]

@@ -1,0 +1,250 @@
+"""`frasa-sysid fit` on logs of the whole robot: delays, zeros, scales, with bench fits frozen."""
+
+import argparse
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from frasa_sysid import stored_fit, stored_robot_fit
+from frasa_sysid.calibration import load_model, number, say, servo_classes, write_atomic
+from frasa_sysid.commands.bench import inputs_of, origin_of, people_console
+from frasa_sysid.commands.publish import publish_files
+from frasa_sysid.errors import InterruptedRunError, LogError, UsageError
+from frasa_sysid.fit import versions
+from frasa_sysid.fit_json import read_json
+from frasa_sysid.fit_record import log_facts
+from frasa_sysid.model_mark import mark_of
+from frasa_sysid.recording import FloatArray, Recording
+from frasa_sysid.robot_fit import RobotFit, fit_robot
+from frasa_sysid.robot_fit_record import Interval, RobotFitRecord, base_numbers, with_products
+from frasa_sysid.robot_problem import DEFAULT_GROUPS, GROUPS
+from frasa_sysid.stored_fit import StoredFit
+
+SUM_ONLY = (
+    "command delay and delay of positions are known as a sum only: positions are taken to be {age:g} ms old, "
+    "all delays are relative to that (--position-delay)"
+)
+
+
+def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
+    """What only logs of the whole robot need."""
+    group = parser.add_argument_group("logs of the whole robot")
+    group.add_argument("--base", choices=("fixed", "floating"), help="trunk held, or robot on the ground [as logged]")
+    group.add_argument("--free", metavar="LIST", help=f"of {', '.join(GROUPS)} [{','.join(DEFAULT_GROUPS)}]")
+    group.add_argument("--position-delay", type=float, default=0.0, metavar="S", help="age of a joint position [0]")
+    group.add_argument(
+        "--frozen", type=Path, action="append", metavar="FIT", help="bench fit that applies [those beside --model]"
+    )
+    group.add_argument("--hold-out-share", type=float, default=0.0, metavar="S", help="end of each log to compare only")
+
+
+def is_robot(recording: Recording) -> bool:
+    """Whether a recording is of many joints."""
+    position = recording.signals.get("position")
+    return position is not None and len(position.columns) > 1
+
+
+def fit_robot_logs(args: argparse.Namespace, recordings: Sequence[Recording]) -> dict[str, Any]:
+    """Fit, save, show, and publish when asked.
+
+    Raises:
+        LogError, UsageError, ModelError: bad input.
+        InterruptedRunError: Ctrl-C; the same command goes on from the last step.
+    """
+    _check(args, recordings)
+    out = args.out or args.model.parent / "fits" / "robot.json"
+    fits = _frozen(args)
+    groups = DEFAULT_GROUPS if args.free is None else tuple(args.free.split(","))
+    identity = _identity(args, recordings, fits, groups)
+    partial = out.with_suffix(".partial.json")
+    start = _resumed(partial, identity)
+    found = _fit(args, recordings, fits, groups, start, partial, identity)
+    record = _record(args, recordings, fits, found)
+    data = {**record.to_json(), "seconds": found.seconds}
+    record.save(out)
+    partial.unlink(missing_ok=True)
+    show_robot(found, record)
+    outputs: dict[str, Any] = {"fit": out, "model": None, "ranges": None, "report": None}
+    if args.publish:
+        outputs["model"] = args.model.with_name("calibrated.xml")
+        robot = stored_robot_fit.load(out)
+        outputs["ranges"] = publish_files(fits, args.model, outputs["model"], as_law=args.as_law, robot=robot)
+    for name, path in outputs.items():
+        if path is not None:
+            say(f"{name}: {path}")
+    return {**data, "outputs": outputs}
+
+
+def _check(args: argparse.Namespace, recordings: Sequence[Recording]) -> None:
+    single = [one.name for one in recordings if not is_robot(one)]
+    if single:
+        raise LogError(f"{single[0]} is of one joint and the others are of a whole robot; fit them apart")
+    if not 0.0 <= args.hold_out_share <= 0.9:
+        raise UsageError(f"--hold-out-share {args.hold_out_share:g}: expected 0 to 0.9")
+    if not 0.0 <= args.position_delay <= 0.1:
+        raise UsageError(f"--position-delay {args.position_delay:g}: expected seconds, 0 to 0.1")
+    if args.out is not None and args.out.suffix != ".json":
+        raise UsageError(f"--out {args.out}: expected a name that ends in .json")
+
+
+def _frozen(args: argparse.Namespace) -> list[StoredFit]:
+    """Bench fits of servos that the model has: those given, else those beside it."""
+    known = servo_classes(load_model(args.model))
+    if args.frozen is not None:
+        return [stored_fit.load(path) for path in args.frozen]
+    folder = args.model.parent / "fits"
+    paths = [path for path in sorted(folder.glob("*.json")) if not path.name.endswith(".partial.json")]
+    servos = [path for path in paths if read_json(path)[0].get("kind") is None]
+    return [one for one in map(stored_fit.load, servos) if one.servo in known]
+
+
+def _fit(
+    args: argparse.Namespace,
+    recordings: Sequence[Recording],
+    fits: Sequence[StoredFit],
+    groups: Sequence[str],
+    start: FloatArray | None,
+    partial: Path,
+    identity: str,
+) -> RobotFit:
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[best]}"), TimeElapsedColumn())
+
+    def keep(x: FloatArray, iteration: int) -> None:
+        write_atomic(partial, json.dumps({"identity": identity, "x": [float(one) for one in x]}) + "\n")
+
+    with Progress(*columns, console=people_console()) as progress:
+        task = progress.add_task("robot", total=None, best="")
+
+        def tell(stage: str, count: int, best: float) -> None:
+            text = f"{count} robots simulated" + (f", cost {best:.0f}" if np.isfinite(best) else "")
+            progress.update(task, description=f"robot: {len(recordings)} logs, {stage}", best=text)
+
+        try:
+            return fit_robot(
+                args.model,
+                fits,
+                recordings,
+                args.base,
+                groups,
+                args.position_delay,
+                args.hold_out_share,
+                args.threads,
+                args.seed,
+                start,
+                tell,
+                keep,
+            )
+        except KeyboardInterrupt:
+            kept = f"its last step is in {partial}, the same command goes on" if partial.exists() else "nothing to keep"
+            raise InterruptedRunError(f"interrupted; {kept}") from None
+
+
+def _identity(
+    args: argparse.Namespace, recordings: Sequence[Recording], fits: Sequence[StoredFit], groups: Sequence[str]
+) -> str:
+    facts = [
+        sorted(one.sha256 + one.name for one in recordings),
+        [one.sha256 for one in fits],
+        [*groups, str(args.base), args.position_delay, args.hold_out_share],
+        mark_of(load_model(args.model)).fingerprint,
+        versions(),
+    ]
+    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
+
+
+def _resumed(partial: Path, identity: str) -> FloatArray | None:
+    """The point an interrupted fit of the very same had reached."""
+    if not partial.exists():
+        return None
+    try:
+        data = json.loads(partial.read_text(encoding="utf-8"))
+        return np.array([float(one) for one in data["x"]]) if data["identity"] == identity else None
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+def _record(
+    args: argparse.Namespace, recordings: Sequence[Recording], fits: Sequence[StoredFit], found: RobotFit
+) -> RobotFitRecord:
+    model = load_model(args.model)
+    estimates = found.estimates()
+    sd = np.sqrt(np.diag(found.covariance))
+    facts = log_facts(recordings)
+    bases = {run.base for run in found.problem.runs}
+    return RobotFitRecord(
+        with_products(estimates, base_numbers(model, fits)),
+        tuple(one.name for one in estimates),
+        found.covariance / np.outer(sd, sd),
+        bases.pop() if len(bases) == 1 else "both",
+        mark_of(model),
+        {name: number(model, f"servo_{name}") for name in ("supply_voltage", "firmware_gain")},
+        tuple(one.sha256 for one in fits),
+        inputs_of(recordings),
+        origin_of(recordings),
+        _pair(facts.get("supply_voltage")),
+        _pair(facts.get("delay_jitter")),
+        (SUM_ONLY.format(age=args.position_delay * 1e3),),
+        {"misfit": _misfit(found), "physical_delays": _physical(found), "seed": args.seed, "versions": versions(),
+         "converged": found.settled.converged, "evaluations": found.settled.evaluations},
+    )  # fmt: skip
+
+
+def _pair(limits: Sequence[float] | None) -> Interval | None:
+    return None if limits is None else (float(limits[0]), float(limits[1]))
+
+
+def _misfit(found: RobotFit) -> dict[str, Any]:
+    """By stage: error of positions as for a bench, and of every channel in its own unit."""
+    return {
+        stage: {
+            "mae_rad": channels["position"][0],
+            "rmse_rad": channels["position"][1],
+            "by_channel": {name: {"mae": pair[0], "rmse": pair[1]} for name, pair in channels.items()},
+        }
+        for stage, channels in found.errors.items()
+    }
+
+
+def _physical(found: RobotFit) -> dict[str, dict[str, float]]:
+    """Delays as they are, without the half step by which a model's differ [s]."""
+    return {
+        free.name: {"value": float(x), "low": max(float(x - half), 0.0), "high": float(x + half)}
+        for free, x, half in zip(found.problem.free, found.settled.x, found.half, strict=True)
+        if free.kind.unit == "s"
+    }
+
+
+def show_robot(found: RobotFit, record: RobotFitRecord) -> None:
+    """Numbers, verdicts and errors, for people."""
+    console = people_console()
+    table = Table()
+    for column in ("number", "before", "fitted", "95 % interval", "unit", "verdict"):
+        table.add_column(column, justify="left" if column in ("number", "unit", "verdict") else "right")
+    units = {free.name: free.kind.unit for free in found.problem.free}
+    advice: dict[str, list[str]] = {}
+    for one in record.estimates:
+        if one.name in units:
+            scale, unit = (
+                (1e3, {"s": "ms", "rad": "mrad", "m": "mm"}[units[one.name]]) if units[one.name] != "1" else (1.0, "1")
+            )
+            interval = f"{one.low * scale:.4g} .. {one.high * scale:.4g}"
+            colour = "green" if one.verdict == "identified" else "yellow"
+            table.add_row(one.name, f"{one.nominal * scale:.4g}", f"{one.value * scale:.4g}", interval, unit,
+                          f"[{colour}]{one.verdict}[/{colour}]")  # fmt: skip
+            if one.advice:
+                advice.setdefault(one.advice, []).append(one.name)
+    console.print(table)
+    for words, names in advice.items():
+        console.print(f"  {', '.join(names)}: {words}")
+    for words in record.not_in_model:
+        console.print(f"  {words}")
+    for stage, channels in found.errors.items():
+        parts = [f"{name} {pair[0]:.4g}" for name, pair in channels.items()]
+        console.print(f"  mean error {stage}: {', '.join(parts)} (rad, rad/s)")
+    console.print(f"{found.settled.evaluations} robots simulated, {found.seconds:.0f} s")

@@ -1,0 +1,167 @@
+"""Simulated minus measured, channel by channel, each in its own noise unit.
+
+The noise unit of a column is what is left of it after the fit (robust), no less than its reading's step:
+a robot's velocities are a hundred times noisier than its positions, and neither is told beforehand.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from frasa_sysid.inspection import quantum
+from frasa_sysid.recording import FloatArray
+from frasa_sysid.robot_candidate import Candidate
+from frasa_sysid.robot_rig import Channel
+from frasa_sysid.robot_simulator import Piece, RobotSimulator
+
+CORRELATION_TIME = 0.05  # [s] within which residuals of one column count as one sample
+CLUSTER = 1.0  # [s]; residuals of one joint that are closer are not taken as independent evidence
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the R residuals of a set of pieces stand.
+
+    Attributes:
+        column: noise group of each residual (channel and joint or axis), shape (R,).
+        cluster: which second of which joint, shape (R,).
+        names: of the noise groups, such as `position left_knee`.
+        floors: smallest noise unit of each group.
+        thinning: samples of each group within the correlation time.
+    """
+
+    column: IntArray
+    cluster: IntArray
+    names: tuple[str, ...]
+    floors: FloatArray
+    thinning: FloatArray
+
+
+class Comparison:
+    """Residuals of pieces of runs of one kind of base.
+
+    Args:
+        simulator: simulates them.
+        pieces: to compare on.
+    """
+
+    def __init__(self, simulator: RobotSimulator, pieces: Sequence[Piece]) -> None:
+        self.simulator, self.pieces = simulator, list(pieces)
+        self._address = simulator.model.jnt_qposadr[simulator.model.actuator_trnid[:, 0]]
+        dof = simulator.model.jnt_dofadr[simulator.model.actuator_trnid[:, 0]]
+        self._speed = simulator.model.nq + dof
+        self._windows = [self._window(piece) for piece in self.pieces]
+        self._sizes = [sum(rows.size * width for _, rows, width in window) for window in self._windows]
+        self.layout = self._lay_out()
+
+    def _channels(self, piece: Piece) -> list[str]:
+        names = ["position", "velocity"]
+        names += ["gyro", "orientation"] if piece.run.base == "floating" else []
+        return [name for name in names if name in piece.run.channels]
+
+    def _window(self, piece: Piece) -> list[tuple[str, IntArray, int]]:
+        """Channels, their samples within the piece, and how many residuals each sample gives."""
+        step = self.simulator.timestep
+        found = []
+        for name in self._channels(piece):
+            channel = piece.run.channels[name]
+            rows = np.flatnonzero((channel.t >= piece.begin * step) & (channel.t < piece.end * step))
+            found.append((name, rows, 2 if name == "orientation" else channel.y.shape[1]))
+        return found
+
+    def _lay_out(self) -> Layout:
+        names: dict[str, int] = {}
+        clusters: dict[tuple[str, str, int], int] = {}
+        columns, owners = [], []
+        floors: dict[int, float] = {}
+        rates: dict[int, float] = {}
+        for piece, window in zip(self.pieces, self._windows, strict=True):
+            for name, rows, width in window:
+                channel = piece.run.channels[name]
+                labels = _labels(piece, name, channel, width)
+                groups = [names.setdefault(f"{name} {label}", len(names)) for label in labels]
+                for i, group in enumerate(groups):
+                    floors[group] = _floor(channel, name, i)
+                    rates[group] = max(CORRELATION_TIME / float(np.median(np.diff(channel.t))), 1.0)
+                seconds = (channel.t[rows] // CLUSTER).astype(int)
+                keys = [[(piece.run.name, label, second) for label in labels] for second in seconds]
+                owners.append([clusters.setdefault(key, len(clusters)) for row in keys for key in row])
+                columns.append(np.tile(groups, rows.size))
+        order = range(len(names))
+        return Layout(
+            np.concatenate(columns).astype(np.int64),
+            np.concatenate([np.array(one, np.int64) for one in owners]),
+            tuple(names),
+            np.array([floors[i] for i in order]),
+            np.array([rates[i] for i in order]),
+        )
+
+    def residuals(self, candidates: Sequence[Candidate], centre: Candidate) -> FloatArray:
+        """Simulated minus measured of m candidates, shape (m, R); a diverged piece counts as far away.
+
+        Args:
+            candidates: m of them.
+            centre: whose ages of channels the pieces' starts are taken with.
+        """
+        starts = np.concatenate([[0], np.cumsum(self._sizes)])
+        found = np.empty((len(candidates), int(starts[-1])))
+        for c, p, states in self.simulator.simulate(self.pieces, candidates, centre):
+            found[c, starts[p] : starts[p + 1]] = self._piece(p, states, candidates[c])
+        return found
+
+    def _piece(self, p: int, states: FloatArray, one: Candidate) -> FloatArray:
+        piece, parts = self.pieces[p], []
+        for name, rows, _ in self._windows[p]:
+            channel = piece.run.channels[name]
+            times = channel.t[rows] - one.ages.get(name, 0.0) - piece.first * self.simulator.timestep
+            parts.append((self._reading(name, states, times, channel) - self._measured(name, channel, rows)).ravel())
+        return np.nan_to_num(np.concatenate(parts), nan=10.0)
+
+    def _reading(self, name: str, states: FloatArray, times: FloatArray, channel: Channel) -> FloatArray:
+        columns = {
+            "position": self._address[channel.joints],
+            "velocity": self._speed[channel.joints],
+            "gyro": self.simulator.model.nq + np.arange(3, 6),
+            "orientation": np.arange(3, 7),
+        }[name]
+        # Speeds are half a step older than the angles beside them (semi-implicit Euler).
+        grid = times / self.simulator.timestep + (0.5 if name in ("velocity", "gyro") else 0.0)
+        low = np.clip(np.floor(grid).astype(int), 0, len(states) - 2)
+        part = (grid - low)[:, None]
+        values = (1.0 - part) * states[low][:, columns] + part * states[low + 1][:, columns]
+        return tilt(values) if name == "orientation" else np.asarray(values, np.float64)
+
+    def _measured(self, name: str, channel: Channel, rows: IntArray) -> FloatArray:
+        return tilt(channel.y[rows]) if name == "orientation" else np.asarray(channel.y[rows])
+
+
+def tilt(quaternions: FloatArray) -> FloatArray:
+    """Roll and pitch [rad] of quaternions w x y z, (T, 4) to (T, 2); where gravity is, whatever the heading."""
+    w, x, y, z = (quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).T
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
+    return np.column_stack([roll, pitch])
+
+
+def noise_units(residuals: FloatArray, layout: Layout) -> FloatArray:
+    """Robust size of each noise group's residuals, no less than its floor, shape (groups,)."""
+    sizes = np.array([1.4826 * np.median(np.abs(residuals[layout.column == i])) for i in range(len(layout.names))])
+    return np.asarray(np.maximum(sizes, layout.floors))
+
+
+def _labels(piece: Piece, name: str, channel: Channel, width: int) -> list[str]:
+    if channel.joints.size:
+        return [piece.run.joints[i] for i in channel.joints]
+    return [f"{name}{i}" for i in range(width)]
+
+
+def _floor(channel: Channel, name: str, i: int) -> float:
+    """A third of a reading's step (that of uniform rounding), or a guess that no sensor of a robot beats."""
+    least = {"position": 2e-4, "velocity": 5e-3, "gyro": 2e-3, "orientation": 5e-4}[name]
+    if name == "orientation":
+        return least
+    step = quantum(channel.y[:, i])
+    return max(least, 0.29 * step if step else 0.0)

@@ -1,0 +1,173 @@
+"""Pieces of robot runs, simulated for many candidates by `mujoco.rollout` in its own threads.
+
+A piece starts from the measured state, before the part that counts: what was wrong with the start has
+died out by then, since position servos pull to where they are told. The command delay is that of
+MuJoCo's own history (linear between the commands of two steps), done on the commands, so that states
+stay small; delays here are physical, those of the model differ by half a step (`robot_fit`).
+"""
+
+import copy
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from frasa_sysid.calibration import load_model, servo_law
+from frasa_sysid.recording import FloatArray
+from frasa_sysid.robot_body import hold
+from frasa_sysid.robot_candidate import Candidate, Writer
+from frasa_sysid.robot_rig import Base, RobotRun
+from frasa_sysid.robot_start import gravity_of, start_states
+
+_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_JOBS = 64  # simulations in one call
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A part of a run.
+
+    Attributes:
+        run: whose.
+        first: physics step at which the simulation starts.
+        begin, end: steps between which it is compared.
+    """
+
+    run: RobotRun
+    first: int
+    begin: int
+    end: int
+
+
+def pieces_of(run: RobotRun, timestep: float, seconds: float, warm: float) -> list[Piece]:
+    """A run cut into pieces that are compared for some seconds each, after a warm-up [s]."""
+    before = round(warm / timestep)
+    count = max(round((run.steps - before) * timestep / seconds), 1)
+    edges = np.linspace(before, run.steps - 1, count + 1).round().astype(int)
+    return [Piece(run, int(a) - before, int(a), int(b)) for a, b in pairwise(edges)]
+
+
+class RobotSimulator:
+    """Simulates pieces of one robot's runs of one kind of base; use as a context manager, it owns threads.
+
+    Args:
+        model_path: the robot, frozen fits applied.
+        base: `fixed`: the trunk stays where it is, away from the floor; or `floating`.
+        threads: by default one per core.
+    """
+
+    def __init__(self, model_path: Path, base: Base, threads: int | None = None) -> None:
+        self.base = base
+        self.model = bare_model(model_path, base)
+        self.trunk = 1 if base == "fixed" else int(self.model.jnt_bodyid[_free_joint(self.model)])
+        self.writer = Writer(self.model, self.trunk)
+        count = threads or len(os.sched_getaffinity(0))
+        self._data = [mujoco.MjData(self.model) for _ in range(count)]
+        self._rollout = rollout.Rollout(nthread=count)
+        self._pool = [copy.copy(self.model) for _ in range(_JOBS)]
+
+    def __enter__(self) -> "RobotSimulator":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._rollout.close()
+
+    @property
+    def timestep(self) -> float:
+        """Physics step [s]."""
+        return float(self.model.opt.timestep)
+
+    def simulate(
+        self, pieces: Sequence[Piece], candidates: Sequence[Candidate], ages: Candidate
+    ) -> Iterator[tuple[int, int, FloatArray]]:
+        """States of every piece for every candidate.
+
+        Args:
+            pieces: p of them.
+            candidates: m of them.
+            ages: whose ages of channels the measured states are taken with.
+
+        Yields:
+            Candidate, piece, and states (steps + 1, nq + nv), the start first; NaN once it diverged.
+        """
+        starts = [start_states(self.model, self.trunk, piece.run, piece.first, ages.ages) for piece in pieces]
+        pairs = [(c, p) for c in range(len(candidates)) for p in range(len(pieces))]
+        pairs.sort(key=lambda pair: pieces[pair[1]].end - pieces[pair[1]].first)
+        for i in range(0, len(pairs), _JOBS):
+            batch = pairs[i : i + _JOBS]
+            yield from self._batch(pieces, candidates, starts, batch)
+
+    def _batch(
+        self,
+        pieces: Sequence[Piece],
+        candidates: Sequence[Candidate],
+        starts: Sequence[FloatArray],
+        batch: Sequence[tuple[int, int]],
+    ) -> Iterator[tuple[int, int, FloatArray]]:
+        steps = max(pieces[p].end - pieces[p].first for _, p in batch)
+        commands = np.empty((len(batch), steps, self.model.nu))
+        for model, row, (c, p) in zip(self._pool, commands, batch, strict=False):
+            piece, one = pieces[p], candidates[c]
+            # The torque of a step makes the speed of its middle, so it acts half a step early.
+            row[:] = delayed(piece.run.goal, piece.first, steps, one.command_delay / self.timestep + 0.5)
+            self._configure(model, piece, one)
+        state = np.zeros((len(batch), mujoco.mj_stateSize(self.model, _STATE)))
+        for row, (_, p) in zip(state, batch, strict=True):
+            row[1 : 1 + starts[p].size] = starts[p]
+        models = self._pool[: len(batch)]
+        paths, _ = self._rollout.rollout(models, self._data, state, commands)
+        for (c, p), begin, path in zip(batch, state, paths, strict=True):
+            count = pieces[p].end - pieces[p].first
+            whole = np.vstack([begin, path[:count]])[:, : 1 + self.model.nq + self.model.nv]
+            # MuJoCo resets a simulation that blew up, clock and all.
+            expected = np.arange(count + 1) * self.timestep
+            whole[np.abs(whole[:, 0] - expected) > 0.5 * self.timestep] = np.nan
+            yield c, p, whole[:, 1:]
+
+    def _configure(self, model: mujoco.MjModel, piece: Piece, one: Candidate) -> None:
+        supply = float(piece.run.supply[piece.first : piece.end + 1].mean())
+        self.writer.write(model, one, supply, piece.run.firmware_gain)
+        if self.base == "fixed":
+            model.opt.gravity[:] = gravity_of(piece.run, self.model)
+
+
+def delayed(goal: FloatArray, first: int, steps: int, late: float) -> FloatArray:
+    """Commands that act from step `first` on, `late` steps after they were given, shape (steps, J)."""
+    whole = int(np.floor(late))
+    part = late - whole
+    at = np.arange(first, first + steps) - whole
+    last = len(goal) - 1
+    return np.asarray((1.0 - part) * goal[np.clip(at, 0, last)] + part * goal[np.clip(at - 1, 0, last)])
+
+
+def bare_model(path: Path, base: Base) -> mujoco.MjModel:
+    """The robot without sensors, history and key frames; with a fixed base also without free joint and floor."""
+    load_model(path)  # one clear line for what cannot be compiled; installs the friction law
+    spec = mujoco.MjSpec.from_file(str(path))
+    for one in [*spec.keys, *spec.sensors]:
+        spec.delete(one)
+    for actuator in spec.actuators:
+        actuator.delay, actuator.nsample = 0.0, 0
+    if base == "fixed":
+        hold(spec, next(body for body in spec.bodies if _is_free(body)), (1.0, 0.0, 0.0, 0.0))
+    model = spec.compile()
+    if servo_law.has_law(model):
+        servo_law.install()
+    return model
+
+
+def _is_free(body: Any) -> bool:  # noqa: ANN401 (mujoco's own type)
+    return any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
+
+
+def _free_joint(model: mujoco.MjModel) -> int:
+    return int(np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)[0])
