@@ -24,6 +24,7 @@ ITERATIONS = 12
 _HUBER = 3.0  # noise units beyond which a residual counts as model error
 _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)  # of a step that are tried
 _ENOUGH = 1e-3  # relative gain in cost below which it ends
+_SETTLED_UNITS = 3  # iterations in which noise units follow the residuals
 _DAMPING = 1e-3  # of the curvature's diagonal
 Tell = Callable[[str, int, float], None]
 
@@ -114,10 +115,13 @@ def settle_robot(
     x = problem.start() if start is None else start
     low, high = problem.bounds()
     used, cost, converged = 0, np.inf, False
+    units: FloatArray | None = None
     iteration = 0
     for iteration in range(1, ITERATIONS + 1):
         tell("slopes", used, cost)
-        linear = linearise_robot(problem, stack, x, central=False)
+        linear = linearise_robot(problem, stack, x, units, central=False)
+        # Noise units that follow the residuals for ever would let the cost go round in circles.
+        units = linear.units if iteration >= _SETTLED_UNITS else None
         A, g = normal_equations(problem, linear)
         step = -np.linalg.solve(A + _DAMPING * np.diag(np.diag(A)), g)
         trials = np.clip(x + np.outer(_SHARES, step), low, high)
@@ -140,8 +144,13 @@ def settle_robot(
     return Settled(x, linear, float(cost), iteration, used + 2 * len(x) + 1, converged)
 
 
-def linearise_robot(problem: RobotProblem, stack: Stack, x: FloatArray, central: bool = True) -> Linear:
-    """Residuals and slopes at a point (n,): central where the bounds allow, or to one side at half the price."""
+def linearise_robot(
+    problem: RobotProblem, stack: Stack, x: FloatArray, units: FloatArray | None = None, central: bool = True
+) -> Linear:
+    """Residuals and slopes at a point (n,): central where the bounds allow, or to one side at half the price.
+
+    Noise units (groups,) are those given, else what the residuals show.
+    """
     low, high = problem.bounds()
     steps = np.array([one.kind.step for one in problem.free])
     up = np.where(x + steps <= high, x + steps, x - steps)
@@ -151,7 +160,7 @@ def linearise_robot(problem: RobotProblem, stack: Stack, x: FloatArray, central:
     rows = stack.residuals(problem, points, x)
     below = rows[1 + x.size :] if central else rows[0]
     slopes = (rows[1 : 1 + x.size] - below) / (up - down)[:, None]
-    units = noise_units(rows[0], stack.layout)
+    units = noise_units(rows[0], stack.layout) if units is None else units
     scale = units[stack.layout.column]
     robust = 1.0 / np.sqrt(1.0 + (rows[0] / scale / _HUBER) ** 2)
     weights = robust / scale**2 / stack.layout.thinning[stack.layout.column]

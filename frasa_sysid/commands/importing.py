@@ -17,10 +17,16 @@ from frasa_sysid.errors import LogError, UsageError
 from frasa_sysid.readers.bam import read_bam
 from frasa_sysid.readers.dynaban import read_dynaban
 from frasa_sysid.readers.emps import read_emps
+from frasa_sysid.readers.harold import read_harold
+from frasa_sysid.readers.imu_on_axis import read_imu_on_axis
 from frasa_sysid.readers.jandi import TELEMETRY, companions, read_jandi
+from frasa_sysid.readers.kbot import read_kbot
 from frasa_sysid.readers.mcap import read_mcap
 from frasa_sysid.readers.miuzei import read_miuzei
+from frasa_sysid.readers.robstride import METADATA, read_robstride
+from frasa_sysid.readers.rostopic_csv import read_rostopic_csv
 from frasa_sysid.readers.sources import Unit
+from frasa_sysid.readers.upkie import read_upkie
 from frasa_sysid.recording import Recording
 from frasa_sysid.rig_table import RigRow, read_rig_table, with_rig
 from frasa_sysid.writer import write_mcap
@@ -31,29 +37,49 @@ READERS: Mapping[str, Read] = {
     "bam": read_bam,
     "dynaban": lambda path, unit: read_dynaban(path),
     "emps": lambda path, unit: read_emps(path),
+    "harold": lambda path, unit: read_harold(path),
+    "imu_on_axis": lambda path, unit: read_imu_on_axis(path),
     "jandi": lambda path, unit: read_jandi(path),
+    "kbot": lambda path, unit: read_kbot(path),
     "mcap": lambda path, unit: read_mcap(path, unit=unit),
     "miuzei": lambda path, unit: read_miuzei(path),
+    "robstride": lambda path, unit: read_robstride(path),
+    "rostopic_csv": lambda path, unit: read_rostopic_csv(path),
+    "upkie": lambda path, unit: read_upkie(path),
 }
 # Formats whose angles are in a unit that nobody has to declare.
 FIXED_UNITS = {
     "dynaban": "Dynaban positions are encoder steps",
     "emps": "the EMPS axis moves in metres",
+    "harold": "Harold angles are in radians",
+    "imu_on_axis": "its angles are in radians",
     "jandi": "Jandi positions are encoder ticks",
+    "kbot": "K-Bot angles are in degrees already, and are converted",
     "miuzei": "Miuzei angles are shares of half a turn",
+    "robstride": "Robstride angles are in degrees already, and are converted",
+    "rostopic_csv": "its messages are in radians by definition",
+    "upkie": "Upkie angles are in radians",
 }
 # What is taken from a directory; files named one by one may be called anything.
 PATTERNS = {
     "bam": ("*.json", "*.json.gz"),
     "dynaban": ("*.txt", "*.gz", "*.log"),
     "emps": ("*.mat",),
+    "harold": ("*.csv", "*.csv.gz"),
+    "imu_on_axis": ("*.dat", "*.dat.gz"),
     "jandi": tuple(f"**/{name}" for name in TELEMETRY),
+    "kbot": ("kbot*.json", "kbot*.json.gz"),
     "mcap": ("*.mcap",),
     "miuzei": ("*.json", "*.json.gz"),
+    "robstride": ("real*.json", "real*.json.gz"),
+    "rostopic_csv": ("*.csv", "*.csv.gz"),
+    "upkie": ("*.json", "*.jsonl", "*.json.gz", "*.jsonl.gz"),
 }
 # Formats in which a log is a folder: it gives the name, and more files belong to it.
 FOLDERS: Mapping[str, Callable[[Path], list[Path]]] = {"jandi": companions}
-SUFFIXES = (".gz", ".json", ".txt", ".log", ".mcap", ".mat")
+# Formats in which a file beside the log names its joints: it is attached too.
+BESIDE: Mapping[str, tuple[str, ...]] = {"kbot": METADATA, "robstride": METADATA}
+SUFFIXES = (".gz", ".json", ".jsonl", ".txt", ".log", ".mcap", ".mat", ".csv", ".dat")
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -144,6 +170,7 @@ def find_sources(argument: str, form: str) -> list[Path]:
 
 def _originals(source: Path, form: str) -> dict[str, bytes]:
     files = [source, *(FOLDERS[form](source) if form in FOLDERS else [])]
+    files += [source.parent / name for name in BESIDE.get(form, ()) if (source.parent / name).is_file()]
     return {file.name: file.read_bytes() for file in files}
 
 

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from frasa_sysid.calibration.command_line import add_json_flag
 from frasa_sysid.commands.faults import show_faults
+from frasa_sysid.commands.log_health import all_checks, clock_report, show_checks, show_clocks
 from frasa_sysid.finding import Finding
 from frasa_sysid.identifiability import bench_findings, next_logs
 from frasa_sysid.inspection import SignalSummary, is_bench, summarise
@@ -56,12 +57,16 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     else:
         _show_groups(console, recordings)
     show_faults(console, recordings)
+    show_clocks(console, recordings)
+    wrong = all_checks(recordings)
+    show_checks(console, wrong)
     _show_findings(console, recordings, found)
     by_servo = [(servo, one) for servo, several in found.items() for one in several]
     return {
         "schema": SCHEMA,
         "recordings": [_describe(recording) for recording in recordings],
         "identifiable": [{"servo": servo, **asdict(one)} for servo, one in by_servo],
+        "checks": [asdict(one) for one in wrong],
         "next": [{"servo": servo, "record": log} for servo in found for log in next_logs(found[servo])],
     }
 
@@ -82,6 +87,7 @@ def _describe(recording: Recording) -> dict[str, Any]:
         "sha256": recording.sha256,
         "origin": recording.origin,
         "clock": recording.clock,
+        "clocks": clock_report(recording),
         "duration_s": recording.duration,
         "rig": recording.rig.known(),
         "truth": dict(recording.truth),

@@ -45,13 +45,16 @@ def _advice(path: Path, head: bytes) -> str:
     if head.startswith(b"StartOfNewTest"):
         return f"; it looks like Dynaban: 'frasa-sysid import {path} --format dynaban --out DIR'"
     if head.lstrip().startswith((b"{", b"[")) or name.endswith((".json", ".json.gz")):
-        return f"; it looks like JSON: 'frasa-sysid import {path} --format bam --out DIR' (or miuzei)"
+        others = "kbot, miuzei, robstride or upkie"
+        return f"; it looks like JSON: 'frasa-sysid import {path} --format bam --out DIR' (or {others})"
     if head.startswith(b"MATLAB 5.0"):
         return f"; it is a MATLAB file: 'frasa-sysid import {path} --format emps --out DIR', if it is EMPS"
     if name in ("telemetry.csv", "telemetry.csv.gz"):
         return f"; it looks like a Jandi run: 'frasa-sysid import {path.parent} --format jandi --out DIR'"
+    if head.startswith(b"%time,"):
+        return f"; it looks like rostopic echo -p: 'frasa-sysid import {path} --format rostopic_csv --out DIR'"
     if head.startswith((b"#ROSBAG", b"SQLite format 3")):
         return "; it is a ROS bag: convert it with 'ros2 bag convert' or 'mcap convert' first"
     if head.startswith(GZIP_MAGIC):
         return "; it is gzipped: 'frasa-sysid import' reads other logs packed, MCAP must be unpacked"
-    return " (unknown format); 'frasa-sysid import' reads bam, dynaban, emps, jandi and miuzei"
+    return " (unknown format); 'frasa-sysid import' reads the formats that its --help names"

@@ -21,7 +21,7 @@ from frasa_sysid.errors import LogError
 from frasa_sysid.readers import faults as known_faults
 from frasa_sysid.readers.jandi_metadata import Facts, read_facts
 from frasa_sysid.readers.sampling import make_signal, plural
-from frasa_sysid.readers.servo_clock import ServoClock, describe, reading_times
+from frasa_sysid.readers.servo_clock import ServoClock, comparison, describe, reading_times
 from frasa_sysid.readers.tables import Table, read_table
 from frasa_sysid.recording import Fault, FloatArray, Recording
 
@@ -102,6 +102,7 @@ def read_jandi(path: Path) -> list[Recording]:
             faults=known_faults.unique([*found, *handled]),
             extra={
                 **facts.extra,
+                "clocks": comparison(clock, int(states.sum())),
                 "clock": {
                     "goals": "end of transmission",
                     "readings": describe(clock),

@@ -9,7 +9,7 @@ from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ import numpy.typing as npt
 from frasa_sysid import bench_record
 from frasa_sysid.bench_record import BenchRecord
 from frasa_sysid.calibration.files import sha256_of_file
+from frasa_sysid.clocks import compare_clocks
 from frasa_sysid.errors import LogError
 from frasa_sysid.readers import faults as known_faults
 from frasa_sysid.readers.mcap_series import CLOCKS, Collected, Series, collect, file_faults, nothing_found
@@ -25,6 +26,7 @@ from frasa_sysid.readers.sampling import make_signal, plural
 from frasa_sysid.readers.sources import Unit, check_source
 from frasa_sysid.recording import LINEAR_UNITS, UNITS, Clock, Fault, Recording, RigFacts, Signal
 
+COMPARED: tuple[tuple[Clock, Clock], ...] = (("log", "header"), ("log", "publish"), ("publish", "header"))
 MAIN_TOPICS = ("/joint_states", "/joint_command", "/imu/data")
 
 
@@ -53,6 +55,7 @@ def read_mcap(path: Path, clock: Clock | Literal["auto"] = "auto", unit: Unit = 
     runs = _bench_records(path, collected.report)
     faults += _outside_faults(runs, named, chosen)
     sha256 = sha256_of_file(path)
+    clocks = _compare_clocks(collected)
     recordings = []
     for run in runs:
         recording = _make_recording(path, run, named, chosen, unit, sha256)
@@ -64,7 +67,7 @@ def read_mcap(path: Path, clock: Clock | Literal["auto"] = "auto", unit: Unit = 
         lost = len(runs) - len(recordings)
         faults.append(Fault("lost_run", lost, f"{lost} of {len(runs)} runs have no sample left"))
     recordings[-1] = replace(recordings[-1], faults=(*recordings[-1].faults, *faults))
-    return recordings
+    return [_with_clocks(recording, clocks) for recording in recordings] if clocks else recordings
 
 
 # Clock and names
@@ -98,6 +101,28 @@ def _choose_clock(path: Path, collected: Collected, asked: Clock | Literal["auto
     ):
         return "publish"
     return "log"
+
+
+def _compare_clocks(collected: Collected) -> list[dict[str, Any]]:
+    """The file's stamps against each other, on the topic with the most messages that has two that differ."""
+    longest = sorted(collected.series.values(), key=lambda one: (-len(one.values), one.topic, one.name))
+    found = []
+    for of, against in COMPARED:
+        for one in longest:
+            later, earlier = one.times(of), one.times(against)
+            both = (later > 0) & (earlier > 0)
+            if both.sum() < 2 or (later[both] == earlier[both]).all():
+                continue
+            zero = int(earlier[both].min())
+            seconds = [(stamps[both].astype(np.int64) - zero) / 1e9 for stamps in (later, earlier)]
+            found.append({**compare_clocks(of, seconds[0], against, seconds[1]), "topic": one.topic})
+            break
+    return found
+
+
+def _with_clocks(recording: Recording, clocks: list[dict[str, Any]]) -> Recording:
+    # What was known when the file was made stays: a bag that is brought in again has all stamps equal.
+    return replace(recording, extra={**recording.extra, "clocks": [*recording.extra.get("clocks", []), *clocks]})
 
 
 def _name_signals(collected: Collected) -> dict[str, Series]:

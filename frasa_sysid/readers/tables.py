@@ -27,6 +27,11 @@ class Table:
         self.rows = rows
         self._columns = columns
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The columns that were read."""
+        return tuple(self._columns)
+
     def text(self, name: str) -> Sequence[str]:
         """A column as it stands."""
         return self._columns[name]
@@ -60,12 +65,13 @@ class Table:
         return values
 
 
-def read_table(path: Path, needed: Sequence[str]) -> Table:
+def read_table(path: Path, needed: Sequence[str], everything: bool = False) -> Table:
     """A CSV file, which may be gzipped.
 
     Args:
         path: the file.
-        needed: names of the columns it must have; others are not looked at.
+        needed: names of the columns it must have.
+        everything: read all columns; otherwise others are not looked at.
 
     Raises:
         LogError: not such a file, a column is missing, or a row has not as many fields as the header.
@@ -74,7 +80,9 @@ def read_table(path: Path, needed: Sequence[str]) -> Table:
         lines = csv.reader(io.StringIO(read_bytes(path).decode("utf-8-sig"), newline=""), strict=True)
         header = [name.strip() for name in next(lines, [])]
         places = _places(path, header, needed)
-        columns: dict[str, list[str]] = {name: [] for name in needed}
+        if everything:
+            places |= {name: header.index(name) for name in header if name}
+        columns: dict[str, list[str]] = {name: [] for name in places}
         for row in lines:
             if len(row) != len(header):
                 raise LogError(

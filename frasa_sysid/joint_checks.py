@@ -1,0 +1,182 @@
+"""What the joints of a log say about the log itself: signs, zeros, scales, rates, and channels that are missing.
+
+A fit takes a log at its word; these checks do not. Each is about one recording and ends in a `Check`: a sentence with
+what was found, what was expected and what to do, and whether the log serves nonetheless.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from frasa_sysid.errors import LogError
+from frasa_sysid.lag_channels import Pair, pairs
+from frasa_sysid.recording import FloatArray, Recording
+
+Level = Literal["refuse", "warn"]
+FAST = 0.02  # [s] a sampling period up to which delays can be told
+SLOW = 0.05  # [s] from which on a fit of delays is refused
+ZERO = 0.3  # [rad] that a joint may be from its goal on average: gravity takes a soft joint about so far
+SLOPE = (0.5, 1.6)  # of the measurement over the goal
+FOLLOWS = 0.7  # correlation from which on a slope means something
+MOVES = 0.02  # [rad], standard deviation, from which on a joint moves
+LATEST = 0.4  # [s] that a joint may be behind its goal
+SPEED_SLOPE = (0.7, 1.4)  # of a velocity over the derivative of the position
+SPEED_FOLLOWS = 0.5
+DEGREES = 180 / np.pi
+TURNS_PER_MINUTE = 60 / (2 * np.pi)
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that looks wrong with a recording.
+
+    Attributes:
+        recording: its name.
+        code: stable short name, such as `wrong_sign`.
+        joint: which joint; empty where it is about the whole log.
+        level: `refuse`: a fit would be misled, or cannot be made; `warn`: it can, with that in mind.
+        message: a sentence.
+    """
+
+    recording: str
+    code: str
+    joint: str
+    level: Level
+    message: str
+
+
+def checks(recording: Recording) -> list[Check]:
+    """Everything that looks wrong with a recording's joints; empty where nothing does, or there are none."""
+    if "position" not in recording.signals or recording.linear:
+        return _no_joints(recording)
+    found = [*_rate(recording), *_goal(recording)]
+    for name, judge in (("goal", _against_goal), ("velocity", _against_slope)):
+        if name in recording.signals:
+            found += _joints(recording, name, judge)
+    return found
+
+
+Judge = Callable[[Recording, Pair], Iterable[Check]]
+
+
+def _joints(recording: Recording, name: str, judge: Judge) -> list[Check]:
+    try:
+        # The goal is what a position is held against, and the position what a velocity is held against.
+        asked = pairs(recording, *(("position", name) if name == "goal" else (name, "position")))
+    except LogError as error:
+        return [Check(recording.name, "no_pair", "", "warn", f"{name} and position cannot be compared: {error}")]
+    return [check for pair in asked for check in judge(recording, pair)]
+
+
+def _no_joints(recording: Recording) -> list[Check]:
+    if recording.linear or ("gyro" not in recording.signals and "orientation" not in recording.signals):
+        return []
+    text = "an IMU and no joint positions: delays between IMU channels can be told ('lag'), nothing can be fitted"
+    return [Check(recording.name, "no_joints", "", "refuse", text)]
+
+
+def _rate(recording: Recording) -> list[Check]:
+    t = recording.signal("position").t
+    if t.size < 3:
+        return [Check(recording.name, "too_short", "", "refuse", f"{t.size} positions: record for 10 s or longer")]
+    period = float(np.median(np.diff(t)))
+    if period <= FAST * 1.1:
+        return []
+    text = (
+        f"{1 / period:.3g} Hz: a delay is known to about half a sample period at best, {1e3 * period / 2:.0f} ms: "
+        "record at 50 Hz or more"
+    )
+    return [Check(recording.name, "slow_rate", "", "refuse" if period >= SLOW * 1.1 else "warn", text)]
+
+
+def _goal(recording: Recording) -> list[Check]:
+    if recording.rig.control != "position":
+        return []
+    if "goal" not in recording.signals:
+        text = "no goal: command delay, gain and friction need the commanded positions; record /joint_command"
+        return [Check(recording.name, "no_goal", "", "refuse", text)]
+    told, measured = set(recording.signals["goal"].columns), recording.signals["position"].columns
+    lacking = [joint for joint in measured if told and joint not in told]
+    if lacking:
+        text = f"no goal for {', '.join(lacking)}: nothing can be fitted of them"
+        return [Check(recording.name, "no_goal", "", "warn", text)]
+    return []
+
+
+def _against_goal(recording: Recording, pair: Pair) -> list[Check]:
+    joint = pair.joint or "the joint"
+    goal, position = pair.against, pair.of
+    _shift, r, slope, offset = _best_fit(position.signal.t, position.y, goal.signal.t, goal.y)
+    told = f"it was told {_degrees(goal.y)} and went {_degrees(position.y)}"
+    if r < -FOLLOWS and min(goal.y.std(), position.y.std()) > MOVES:
+        text = f"sign of {joint} looks wrong: {told} deg (correlation {r:.2f}): turn the sign of one of them"
+        return [Check(recording.name, "wrong_sign", pair.joint, "refuse", text)]
+    found = []
+    if abs(offset) > ZERO:
+        text = f"zero of {joint} looks wrong: {told} deg, {np.rad2deg(offset):+.0f} deg on average: check its mapping"
+        found.append(Check(recording.name, "wrong_zero", pair.joint, "refuse", text))
+    moved = goal.y.std() > MOVES
+    if moved and r > FOLLOWS and not SLOPE[0] < slope < SLOPE[1]:
+        text = f"{joint} moves {slope:.2f} times as far as it is told: {told} deg: a wrong unit or gear, or no strength"
+        found.append(Check(recording.name, "wrong_scale", pair.joint, "warn", text))
+    if moved and abs(r) <= FOLLOWS:
+        text = (
+            f"{joint} does not follow its goal within {LATEST:g} s (correlation {r:.2f}): {told} deg: "
+            "is it the right column, and was the torque on?"
+        )
+        found.append(Check(recording.name, "does_not_follow", pair.joint, "warn", text))
+    return found
+
+
+def _best_fit(t: FloatArray, y: FloatArray, goal_t: FloatArray, goal: FloatArray) -> tuple[float, float, float, float]:
+    """Shift [s], correlation and slope where goal and measurement go together best, and mean offset [rad]."""
+    best = (0.0, 0.0, 0.0)
+    for shift in np.linspace(0.0, LATEST, 41):
+        x = np.interp(t - shift, goal_t, goal)
+        if x.std() > 0.0 and y.std() > 0.0:
+            r = float(np.corrcoef(x, y)[0, 1])
+            if abs(r) > abs(best[1]):
+                best = (float(shift), r, r * float(y.std() / x.std()))
+    offset = float(np.median(y - np.interp(t - best[0], goal_t, goal)))
+    return *best, offset
+
+
+def _against_slope(recording: Recording, pair: Pair) -> list[Check]:
+    position, velocity = pair.against, pair.of
+    # Two joints that lie still, or a position with few samples, say nothing about a velocity.
+    if position.signal.t.size < 16 or position.y.std() < MOVES:
+        return []
+    best_r, best_slope = 0.0, 0.0
+    t, q = position.signal.t, position.y
+    middle, speed = (t[2:] + t[:-2]) / 2, (q[2:] - q[:-2]) / (t[2:] - t[:-2])
+    for shift in np.linspace(-LATEST / 4, LATEST / 2, 61):
+        x = np.interp(velocity.signal.t - shift, middle, speed)
+        if x.std() > 0.0 and velocity.y.std() > 0.0:
+            r = float(np.corrcoef(x, velocity.y)[0, 1])
+            if abs(r) > abs(best_r):
+                best_r, best_slope = r, r * float(velocity.y.std() / x.std())
+    return _judge_slope(recording, pair, best_r, best_slope)
+
+
+def _judge_slope(recording: Recording, pair: Pair, r: float, slope: float) -> list[Check]:
+    joint = pair.joint or "the joint"
+    if abs(r) < SPEED_FOLLOWS:
+        text = f"velocity of {joint} does not look like the derivative of its position (correlation {r:.2f})"
+        return [Check(recording.name, "velocity_unlike", pair.joint, "warn", text)]
+    if slope < 0:
+        text = f"velocity of {joint} has the wrong sign: {slope:.2f} times the derivative of its position"
+        return [Check(recording.name, "velocity_sign", pair.joint, "refuse", text)]
+    if SPEED_SLOPE[0] < slope < SPEED_SLOPE[1]:
+        return []
+    units = {"deg/s": DEGREES, "revolutions a minute": TURNS_PER_MINUTE, "revolutions a second": 1 / (2 * np.pi)}
+    likely = [name for name, factor in units.items() if 0.8 < slope / factor < 1.25]
+    why = f"is it in {likely[0]}?" if likely else "a wrong unit, or filtered"
+    text = f"velocity of {joint} is {slope:.3g} times the derivative of its position, expected 1: {why}"
+    return [Check(recording.name, "velocity_scale", pair.joint, "refuse" if likely else "warn", text)]
+
+
+def _degrees(y: FloatArray) -> str:
+    low, high = np.rad2deg([y.min(), y.max()])
+    return f"{low:.0f}..{high:.0f}"

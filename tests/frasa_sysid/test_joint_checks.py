@@ -1,0 +1,99 @@
+import numpy as np
+import pytest
+
+from frasa_sysid.joint_checks import checks
+from frasa_sysid.readers.harold import read_harold
+from frasa_sysid.readers.kbot import read_kbot
+from frasa_sysid.readers.rostopic_csv import read_rostopic_csv
+from frasa_sysid.readers.upkie import read_upkie
+from frasa_sysid.recording import Recording, RigFacts, Signal
+
+T = np.arange(0, 10, 0.01)
+Q = 0.5 * np.sin(3 * T) + 0.2 * np.sin(7 * T)
+DQ = 1.5 * np.cos(3 * T) + 1.4 * np.cos(7 * T)
+
+
+def robot(t=T, **changes):
+    y = {"position": [Q, Q], "goal": [np.interp(T + 0.03, T, Q)] * 2, "velocity": [DQ, DQ]} | changes
+    units = {"position": "rad", "goal": "rad", "velocity": "rad/s"}
+    signals = {
+        name: Signal(name, units[name], t, np.stack(both, axis=1)[: t.size], ("hip", "knee"))
+        for name, both in y.items()
+        if both is not None
+    }
+    return Recording("robot", signals, RigFacts(), "real", "none", "", "header")
+
+
+def codes(recording):
+    return {(one.code, one.joint, one.level) for one in checks(recording)}
+
+
+def test_a_sound_log_has_nothing_to_say():
+    """A joint that follows its goal late raises nothing."""
+    assert codes(robot()) == set()
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"position": [Q, -Q], "velocity": [DQ, -DQ]}, ("wrong_sign", "knee", "refuse")),
+        ({"position": [Q, Q + 0.6]}, ("wrong_zero", "knee", "refuse")),
+        ({"position": [Q, 2 * Q], "velocity": [DQ, 2 * DQ]}, ("wrong_scale", "knee", "warn")),
+        ({"position": [Q, 0.05 * np.sin(11 * T)], "velocity": None}, ("does_not_follow", "knee", "warn")),
+        ({"velocity": [DQ, -DQ]}, ("velocity_sign", "knee", "refuse")),
+        ({"velocity": [DQ, np.rad2deg(DQ)]}, ("velocity_scale", "knee", "refuse")),
+        ({"velocity": [DQ, 0.4 * DQ]}, ("velocity_scale", "knee", "warn")),
+        ({"velocity": [DQ, np.sin(50 * T)]}, ("velocity_unlike", "knee", "warn")),
+        ({"goal": None}, ("no_goal", "", "refuse")),
+    ],
+)
+def test_what_is_wrong_is_named(changes, expected):
+    """Each mistake by its name and joint, and nothing else."""
+    assert codes(robot(**changes)) == {expected}
+
+
+def test_degrees_are_guessed():
+    """The likely unit of a velocity stands in the message."""
+    text = checks(robot(velocity=[DQ, np.rad2deg(DQ)]))[0].message
+    assert "deg/s" in text
+
+
+def test_rates():
+    """100 Hz passes, 20 Hz is warned of, 5 Hz refused."""
+    for dt, level in ((0.05, "warn"), (0.2, "refuse")):
+        t = np.arange(0, 10, dt)
+        q = np.interp(t, T, Q)
+        slow = Recording(
+            "slow",
+            {name: Signal(name, "rad", t, np.stack([q, q], axis=1), ("hip", "knee")) for name in ("position", "goal")},
+            RigFacts(),
+            "real",
+            "none",
+            "",
+            "header",
+        )
+        assert codes(slow) == {("slow_rate", "", level)}
+
+
+def test_still_joints_are_not_judged():
+    """Signs and scales of a joint that does not move are unknown, not wrong."""
+    still = robot(position=[Q * 0, Q * 0], goal=[Q * 0, Q * 0], velocity=[DQ * 0, DQ * 0])
+    assert codes(still) == set()
+    assert codes(robot(t=T[:2])) == {("too_short", "", "refuse")}
+
+
+def test_real_robots(shared_dir):
+    """What the public robot logs lack is named: signs, a scale, rates, goals, joints."""
+    folder = shared_dir / "data"
+    if not (folder / "robots").exists():
+        pytest.skip("no robot logs in the shared data")
+    kbot = codes(read_kbot(folder / "robstride" / "kbot_squat_real_data.json.gz")[0])
+    assert {("wrong_sign", "dof_left_knee_04", "refuse"), ("wrong_sign", "dof_left_ankle_02", "refuse")} <= kbot
+    assert ("wrong_scale", "dof_right_knee_04", "warn") in kbot
+    first, *others = (codes(read_harold(path)[0]) for path in sorted((folder / "robots").glob("harold*")))
+    assert first == {("slow_rate", "", "refuse"), ("no_goal", "", "refuse")}
+    assert all(one == {("slow_rate", "", "refuse")} for one in others)
+    upkie = codes(read_upkie(folder / "robots" / "upkie_robot.json")[0])
+    assert upkie == {("slow_rate", "", "warn"), ("no_goal", "", "warn")}
+    spirit = codes(read_rostopic_csv(folder / "robots" / "spirit40_imu.csv.gz")[0])
+    assert spirit == {("no_joints", "", "refuse")}
