@@ -23,7 +23,7 @@ import numpy as np
 from frasa_sysid.errors import LogError
 from frasa_sysid.lag_bands import Agreement, Band, agreement, bands
 from frasa_sysid.lag_channels import Pair, pairs
-from frasa_sysid.lag_fit import Fitted, fit_delay
+from frasa_sysid.lag_fit import Fitted, fit_delay, refit
 from frasa_sysid.lag_reference import main_frequency, purity
 from frasa_sysid.recording import FloatArray, Recording
 
@@ -118,16 +118,17 @@ def lag_of(recording: Recording, pair: Pair, longest: float = LONGEST) -> Lag:
         fitted = fit_delay(t, y, x, (-longest, longest))
     except LogError as error:
         return _nothing(recording, pair, str(error))
+    unsettled = _unsettled(pair, t, y, fitted)
     motion = x.value(t)
     frequency = main_frequency(t, motion)
     by_band = tuple(bands(t, y, x, fitted.delay)) if fitted.explained > EXPLAINED else ()
     together = None
     if len(by_band) > 1:
         together = agreement(*(np.array([getattr(one, name) for one in by_band]) for name in ("delay", "error")))
-    verdict, reason = _judge(pair, fitted, by_band, together, frequency)
+    verdict, reason = _judge(pair, fitted, by_band, together, frequency, unsettled)
     if verdict in ("identified", "known roughly") and _one_way(motion):
         verdict, reason = "not excited", "the motion goes one way only: a delay and a filter look alike in it"
-    half = max(fitted.half_width, _period(pair) / 2 if verdict == "too slow" else 0.0)
+    half = max(fitted.half_width + unsettled, _period(pair) / 2 if verdict == "too slow" else 0.0)
     sign = -1.0 if pair.turned else 1.0
     ends = sorted((sign * (fitted.low - half), sign * (fitted.high + half)))
     return Lag(
@@ -148,6 +149,21 @@ def lag_of(recording: Recording, pair: Pair, longest: float = LONGEST) -> Lag:
         reason=reason,
         held=pair.against.period / 2 if pair.against.signal.name.startswith("goal") else None,
     )
+
+
+def _unsettled(pair: Pair, t: FloatArray, y: FloatArray, fitted: Fitted) -> float:
+    """What sampling may have moved the delay by [s]: as much as taking every second sample moves it.
+
+    Between samples a motion is not known. Where it is as fast as they are, what is put there leans, by how the delay
+    falls between samples, and the blocks of a log all lean alike.
+    """
+    if fitted.explained < EXPLAINED or fitted.at_edge:
+        return 0.0
+    try:
+        again = [refit(t, y, x, fitted.delay, pair.against.period) for x in pair.thinned()]
+    except LogError:
+        return 0.0
+    return max((abs(one - fitted.delay) for one in again if one is not None), default=0.0)
 
 
 def _one_way(motion: FloatArray) -> bool:
@@ -199,7 +215,12 @@ def _turn(band: Band) -> Band:
 
 
 def _judge(
-    pair: Pair, fitted: Fitted, by_band: Sequence[Band], together: Agreement | None, frequency: float
+    pair: Pair,
+    fitted: Fitted,
+    by_band: Sequence[Band],
+    together: Agreement | None,
+    frequency: float,
+    unsettled: float,
 ) -> tuple[Verdict, str]:
     if _period(pair) >= SLOW:
         best = f"a delay is known to about half a sample period at best, {1e3 * _period(pair) / 2:.0f} ms"
@@ -219,7 +240,7 @@ def _judge(
         return "filter", f"the amplitude is {fitted.ratio:.2f} of the other's: more than a delay, or a wrong scale"
     if _uneven(by_band, frequency):
         return "filter", "a delay alone would leave amplitudes the same at all frequencies"
-    if fitted.half_width + (fitted.high - fitted.low) / 2 > max(ROUGH[0], ROUGH[1] * abs(fitted.delay)):
+    if fitted.half_width + unsettled + (fitted.high - fitted.low) / 2 > max(ROUGH[0], ROUGH[1] * abs(fitted.delay)):
         return "known roughly", "the interval is wide: a longer, faster or less noisy log would help"
     return "identified", "one delay explains it"
 

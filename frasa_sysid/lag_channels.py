@@ -80,6 +80,17 @@ class Pair:
         t, y, good = window_mean(self.of.signal.t, self.of.y, window)
         return t[good], y[good], x
 
+    def thinned(self) -> list[Reference]:
+        """The other channel by every second of its samples, in both ways there are: what finer motion may hide.
+
+        Raises:
+            LogError: too few samples.
+        """
+        window = self._window() if self.relation == "derivative" else 0.0
+        whole = self.against.signal
+        halves = [Signal(whole.name, whole.unit, whole.t[i::2], self.against.y[i::2]) for i in (0, 1)]
+        return [reference(one, one.y, window) for one in halves]
+
     def _window(self) -> float:
         """Over which the slope of the position is taken [s]: as long as its noise asks for and its motion allows."""
         t, q = self.against.signal.t, self.against.y

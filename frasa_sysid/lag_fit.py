@@ -90,6 +90,23 @@ def fit_delay(t: FloatArray, y: FloatArray, x: Reference, limits: tuple[float, f
     return _refine(t[near], y[near], x, peak, step, inverted)
 
 
+def refit(t: FloatArray, y: FloatArray, x: Reference, near: float, step: float) -> float | None:
+    """The delay in the same valley, with another curve for x [s]; None where too little overlaps, or it has none.
+
+    Args:
+        t: times of y [s], shape (T,).
+        y: values, shape (T,).
+        x: what it is held against.
+        near: delay to begin with [s].
+        step: how far a step may go [s].
+    """
+    inside = x.known(t - near - _ROAM * step) & x.known(t - near + _ROAM * step)
+    if inside.sum() < FEWEST_SHARED:
+        return None
+    found = _refine(t[inside], y[inside], x, Peak(near), step, inverted=False)
+    return None if found.at_edge else found.delay
+
+
 def _refine(t: FloatArray, y: FloatArray, x: Reference, peak: Peak, step: float, inverted: bool) -> Fitted:
     d = start = peak.delay
     weight: FloatArray = np.ones(t.size)
