@@ -56,10 +56,14 @@ def candidate_of(model: mujoco.MjModel) -> Candidate:
         model: with its sensors and histories.
     """
     step = float(model.opt.timestep)
-    delays = {servo: read(model, f"{servo}.delay") for servo in servo_classes(model)}
-    ages = {name: read(model, f"sensor.{name}_delay") for name in ("position", "velocity", "gyro", "orientation")}
+
+    def acts(name: str) -> float:
+        delay = read(model, name)
+        return max(delay, step) if delay > 0.0 else 0.0
+
+    ages = {name: acts(f"sensor.{name}_delay") for name in ("position", "velocity", "gyro", "orientation")}
     return Candidate(
-        command_delays={servo: (max(one, step) if one > 0.0 else 0.0) - 0.5 * step for servo, one in delays.items()},
+        command_delays={servo: acts(f"{servo}.delay") - 0.5 * step for servo in servo_classes(model)},
         ages={name: age + (0.5 * step if name in ("velocity", "gyro") else 0.0) for name, age in ages.items()},
     )
 

@@ -62,8 +62,9 @@ def check_published_robot(
     if not mean <= TOLERANCE:
         raise QualityError(
             f"the published model replays the robot's logs {mean * 1e3:.3f} mrad on average away from the fit; "
-            f"allowed are {TOLERANCE * 1e3:g} mrad. MuJoCo acts on a command delay below its step as on a whole one: "
-            "declare a smaller --position-delay if that is so here"
+            f"allowed are {TOLERANCE * 1e3:g} mrad. MuJoCo takes a delay below its step, "
+            f"{found.timestep * 1e3:g} ms, for a whole one: if the cause is that, declare a "
+            "--position-delay that leaves none so short"
         )
     return mean, count
 

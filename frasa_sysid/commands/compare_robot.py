@@ -85,8 +85,10 @@ def _contenders(args: argparse.Namespace, folder: Path) -> list[Contender]:
 
 
 def _name(path: Path, taken: Sequence[Contender]) -> str:
-    """The file's name, with its folder where another contender has the same."""
-    return str(path) if path.name in {one.name for one in taken} else path.name
+    """The file's name, with its folder or all of its path where another contender has the same."""
+    names = (path.name, f"{path.parent.name}/{path.name}", str(path))
+    used = {one.name for one in taken}
+    return next((name for name in names if name not in used), f"{path} ({len(taken)})")
 
 
 def _inside(folder: Path, number: int) -> Path:
@@ -125,18 +127,18 @@ def _show(errors: Mapping[str, Mapping[str, ChannelErrors]], share: float) -> No
     console = people_console()
     channels = list(next(iter(errors.values())))
     table = Table(title=f"mean error, {_part(share)}", title_justify="left")
-    table.add_column("")
+    table.add_column("", overflow="fold")
     for channel in channels:
         name, _, unit = SHOWN[channel]
         table.add_column(f"{name}, {unit}", justify="right")
     table.add_column("position rms, mrad", justify="right")
-    table.add_column("worst joint, mrad", justify="right")
+    table.add_column("worst joint")
     for name, one in errors.items():
         cells = [f"{one[channel].mae * SHOWN[channel][1]:.3g}" for channel in channels]
         by_joint = one["position"].by_joint
         worst = max(by_joint, key=lambda joint: by_joint[joint])
         rms = f"{one['position'].rmse * 1e3:.3g}"
-        table.add_row(name, *cells, rms, f"{by_joint[worst] * 1e3:.3g} ({worst})")
+        table.add_row(name, *cells, rms, worst)
     console.print(table)
     positions = {name: one["position"] for name, one in errors.items()}
     if len(next(iter(positions.values())).by_log) > 1:
@@ -149,7 +151,7 @@ def _by(what: str, errors: Mapping[str, Mapping[str, float]]) -> Table:
     table = Table(title=f"position by {what}, mrad", title_justify="left")
     table.add_column(what)
     for name in errors:
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", overflow="fold")
     last = list(errors.values())[-1]
     for key in sorted(last, key=lambda one: -last[one]):
         table.add_row(key, *(f"{one[key] * 1e3:.3g}" for one in errors.values()))
