@@ -165,12 +165,27 @@ def _channel(recording: Recording, name: str, joints: tuple[str, ...], start: fl
     if signal is None or not signal.columns:
         return None
     if name in ("gyro", "orientation"):
-        # A robot that ends about as it began has turned nowhere on average: what is left is the gyro's bias.
-        bias = signal.y.mean(axis=0) if name == "gyro" else 0.0
+        bias = _gyro_bias(recording) if name == "gyro" else 0.0
         return Channel(signal.t - start, signal.y - bias, np.zeros(0, np.int64))
     known = [joint for joint in joints if joint in signal.columns]
     places = [signal.columns.index(joint) for joint in known]
     return Channel(signal.t - start, signal.y[:, places], np.array([joints.index(joint) for joint in known], np.int64))
+
+
+def _gyro_bias(recording: Recording) -> FloatArray:
+    """Mean rate that the gyro tells beyond what the trunk turned from start to end [rad/s], shape (3,).
+
+    Without an orientation the robot counts as having ended as it began.
+    """
+    told: FloatArray = recording.signals["gyro"].y.mean(axis=0)
+    turned = recording.signals.get("orientation")
+    if turned is None or turned.t.size < 2:
+        return told
+    w, v = turned.y[:, :1], turned.y[:, 1:]
+    # Of q0* q1, about twice the vector is the angle; the short way round, whichever sign a reading has.
+    real = w[:-1] * w[1:] + np.sum(v[:-1] * v[1:], axis=1, keepdims=True)
+    steps = 2.0 * np.sign(real) * (w[:-1] * v[1:] - w[1:] * v[:-1] - np.cross(v[:-1], v[1:]))
+    return np.asarray(told - steps.sum(axis=0) / (turned.t[-1] - turned.t[0]))
 
 
 def _supply(recording: Recording, model: mujoco.MjModel, start: float, steps: int, timestep: float) -> FloatArray:

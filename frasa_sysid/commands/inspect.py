@@ -15,10 +15,13 @@ from frasa_sysid.calibration.command_line import add_json_flag
 from frasa_sysid.commands.faults import show_faults
 from frasa_sysid.commands.log_health import all_checks, clock_report, show_checks, show_clocks
 from frasa_sysid.finding import Finding
+from frasa_sysid.fit_json import ROBOT
 from frasa_sysid.identifiability import bench_findings, next_logs
 from frasa_sysid.inspection import SignalSummary, is_bench, summarise
 from frasa_sysid.readers import read_log
 from frasa_sysid.recording import Recording, Signal
+from frasa_sysid.robot_findings import robot_findings
+from frasa_sysid.robot_rig import is_robot
 
 SCHEMA = "frasa.inspect/1"
 FEW = 2  # recordings that are shown one by one
@@ -77,6 +80,7 @@ def _by_servo(recordings: Sequence[Recording]) -> dict[str, list[Finding]]:
     for recording in recordings:
         groups[recording.rig.servo or "servo not named"].append(recording)
     found = {servo: bench_findings(members) for servo, members in sorted(groups.items())}
+    found[ROBOT] = robot_findings(recordings)
     return {servo: several for servo, several in found.items() if several}
 
 
@@ -155,10 +159,10 @@ def _number(value: float | None) -> str:
 
 
 def _show_findings(console: Console, recordings: Sequence[Recording], found: Mapping[str, list[Finding]]) -> None:
-    robots = sum(not is_bench(recording) for recording in recordings)
-    if robots:
+    others = sum(not is_bench(recording) and not is_robot(recording) for recording in recordings)
+    if others:
         console.print(
-            f"{robots} of {len(recordings)} recordings are not of a single joint that turns, or very short; no verdict"
+            f"{others} of {len(recordings)} recordings are not of a single joint that turns, or very short; no verdict"
         )
     for servo, several in found.items():
         title = f"What these logs can identify together: {servo}"

@@ -236,15 +236,17 @@ def test_each_servo_has_its_own_verdicts(tmp_path, capsys):
 
 
 def test_robot_logs_get_no_bench_verdict(tmp_path, capsys):
-    """A log of several joints is shown, and said to be outside the rules."""
+    """A log of several joints is shown, and the rules are those of a robot: without goals it tells no delay."""
     robot = Signal("position", "rad", T, np.zeros((600, 2)), ("a", "b"))
     recording = Recording("r", {"position": robot}, RigFacts(), "real", "", "", "header")
     assert not is_bench(recording)
     write_mcap(tmp_path / "a.mcap", [recording])
     assert frasa("inspect", tmp_path / "a.mcap", "--json") == 0
     out, err = capsys.readouterr()
-    assert json.loads(out)["identifiable"] == []
-    assert "not of a single joint" in err
+    found = {one["parameter"]: one for one in json.loads(out)["identifiable"]}
+    assert {one["servo"] for one in found.values()} == {"robot"}
+    assert (found["command delay"]["verdict"], found["command delay"]["reason"]) == ("no", "no goals in the log")
+    assert "not of a single joint" not in err
 
 
 def test_bad_log_is_one_line(tmp_path, capsys):

@@ -183,8 +183,10 @@ def test_a_number_that_was_altered(model_dir, fits):
             write(replace(published, xml=published.xml.replace(old, new)), nominal, out)
         assert contents(model_dir) == before
 
-    def refuse(model):
+    def refuse(model, path):
         assert isinstance(model, mujoco.MjModel)
+        assert path.is_file()
+        assert path != out
         raise QualityError("no")
 
     with pytest.raises(QualityError, match="no"):

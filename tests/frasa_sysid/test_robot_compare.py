@@ -22,6 +22,7 @@ from frasa_sysid.robot_candidate import candidate_of
 from frasa_sysid.robot_check import check_published_robot
 from frasa_sysid.robot_compare import compare_robot, last_share, of_model
 from frasa_sysid.robot_errors import errors_by_channel, series
+from frasa_sysid.robot_fit import RECORD
 from frasa_sysid.robot_rig import robot_run
 from frasa_sysid.robot_start import start_states
 from frasa_sysid.robot_truth import draw
@@ -284,3 +285,30 @@ def test_a_held_delay_is_the_models(place, capsys):
     words = ["fit", place[0].parent / "held.mcap", "--model", folder / "nominal.xml", "--free", "friction", "--publish"]
     assert run_command(build_parser(), [str(word) for word in [*words, "--no-report", "--hold-out-share", "0.6"]]) == 0
     assert "of the logs within" in capsys.readouterr().err
+
+
+def test_a_gyro_bias_is_what_the_trunk_did_not_turn(place, ground):
+    """A robot that ends tilted otherwise than it began has turned; only the rest of the gyro's mean is its bias."""
+    gyro = ground.signals["gyro"]
+    bias = [ground.truth[f"imu.gyro_bias_{axis}"] for axis in "xyz"]
+    assert np.abs(gyro.y.mean(axis=0) - bias).max() > 0.02
+    run = robot_run(ground, load_model(place[0] / "nominal.xml"))
+    assert (gyro.y - run.channels["gyro"].y)[0] == pytest.approx(bias, abs=1e-3)
+
+
+def test_inspect_says_what_a_robots_log_can_tell(place, capsys, tmp_path, held):
+    """A held trunk tells no delay of its IMU, a log without velocities none of theirs, in the words of the fit."""
+    silent = {name: one for name, one in held.signals.items() if name != "velocity"}
+    write_mcap(tmp_path / "silent.mcap", [replace(held, signals=silent)])
+    said = {}
+    for path in (tmp_path / "silent.mcap", place[0].parent / "ground.mcap"):
+        assert run_command(build_parser(), ["inspect", str(path), "--json"]) == 0
+        data = json.loads(capsys.readouterr().out)
+        assert {one["servo"] for one in data["identifiable"]} == {"robot"}
+        said[path.stem] = {one["parameter"]: one for one in data["identifiable"]}
+    assert said["silent"]["delay of the gyro"]["verdict"] == "no"
+    assert said["silent"]["delay of the gyro"]["record"] == RECORD["sensor.gyro_delay"]
+    assert said["silent"]["delay of velocities"]["record"] == RECORD["sensor.velocity_delay"]
+    assert said["ground"]["delay of the gyro"]["verdict"] == "weak"  # slow at first
+    assert said["ground"]["joint zeros"]["verdict"] == "yes"
+    assert "sum" in said["ground"]["command delay"]["reason"]
