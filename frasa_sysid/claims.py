@@ -138,11 +138,11 @@ def check_model(claims: Claims, model: mujoco.MjModel) -> None:
 
 
 def short_delays(claims: Claims, timestep: float) -> list[str]:
-    """Commands' delays that MuJoCo cannot act on, in words: below a physics step [s], it acts on a whole one."""
+    """Delays that MuJoCo cannot act on, in words: below a physics step [s], it acts on a whole one."""
     return [
         f"{name} = {value * 1e3:.3g} ms: MuJoCo acts on it as on {timestep * 1e3:g} ms"
         for name, value in claims.robot_values().items()
-        if _field(name) == "delay" and 0.0 < value < timestep
+        if _field(name).endswith("delay") and 0.0 < value < timestep
     ]
 
 

@@ -109,7 +109,7 @@ def write(
     published: Published,
     nominal: Path,
     out: Path,
-    check: Callable[[mujoco.MjModel], None] | None = None,
+    check: Callable[[mujoco.MjModel, Path], None] | None = None,
 ) -> Path:
     """Write both files after MuJoCo has compiled the model and every number was read back from it.
 
@@ -117,7 +117,7 @@ def write(
         published: what `publish` made; the numbers of its fits must be found again in the compiled model.
         nominal: the model they started from.
         out: the model file; the ranges go beside it.
-        check: a last look at the compiled model, which raises when it is not good.
+        check: a last look at the compiled model and its file, which raises when it is not good.
 
     Returns:
         The ranges file.
@@ -132,7 +132,7 @@ def write(
         model = load_model(candidate)
         check_compiled(model, published.calibration, published.claims, nominal)
         if check is not None:
-            check(model)
+            check(model, candidate)
         ranges = out.with_name(RANGES_FILE)
         write_atomic(ranges, published.ranges)
         candidate.replace(out)

@@ -8,11 +8,11 @@ import numpy as np
 from frasa_sysid import report_figures as figures
 from frasa_sysid import report_tables as tables
 from frasa_sysid.bench_session import BenchSession
-from frasa_sysid.calibration import say, write_atomic
+from frasa_sysid.calibration import write_atomic
 from frasa_sysid.cost import misfit
 from frasa_sysid.fit import FitResult, nominal_candidate, simulated
 from frasa_sysid.fit_record import Extras
-from frasa_sysid.report_figures import Trace, image
+from frasa_sysid.report_figures import Trace, has_matplotlib, image
 from frasa_sysid.report_html import Html, join, page, section, table, tag
 from frasa_sysid.rig import BenchRun
 
@@ -36,7 +36,7 @@ def write_fit_report(
     Returns:
         The file, or None where matplotlib is not installed.
     """
-    if not _has_matplotlib():
+    if not has_matplotlib():
         return None
     problem = result.problem
     errors = {**result.fitted.by_run, **result.held_out.by_run}
@@ -64,7 +64,7 @@ def write_fit_report(
 
 def write_trace_report(path: Path, title: str, traces: Sequence[Trace]) -> Path | None:
     """Write a page of traces and errors only; None where matplotlib is not installed."""
-    if not _has_matplotlib():
+    if not has_matplotlib():
         return None
     runs = [trace.run for trace in traces]
     names = list(dict.fromkeys(name for trace in traces for name in trace.readings))
@@ -149,13 +149,3 @@ def _choice(result: FitResult, extras: Extras) -> Html:
 
 def _search(result: FitResult) -> Html:
     return image(figures.search_figure(result), "cost by generation of the first search") if result.trace else Html()
-
-
-def _has_matplotlib() -> bool:
-    try:
-        import matplotlib
-    except ImportError:
-        say("no report page: matplotlib is not installed (pip install 'frasa[report]')")
-        return False
-    matplotlib.use("Agg")
-    return True

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from frasa_sysid.calibration import say
 from frasa_sysid.choice import Choice, Trial
 from frasa_sysid.fit import FitResult
 from frasa_sysid.recording import FloatArray
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
 
 READABLE = 25  # parameters whose names and numbers fit into a map
 _WITH_NUMBERS = 18  # of which every cell can hold one
-_COLOURS = {"nominal": "#c44e52", "fitted": "#1f6fb2"}
-_OTHERS = ("#1f6fb2", "#2a9d5c", "#8856a7", "#d98a00", "#17becf", "#7f7f7f")
+COLOURS = {"nominal": "#c44e52", "fitted": "#1f6fb2"}
+OTHERS = ("#1f6fb2", "#2a9d5c", "#8856a7", "#d98a00", "#17becf", "#7f7f7f")
 _PIXELS = 104  # of the page for an inch of a figure; it is drawn finer, for screens that show more
 _SMALL: dict[str, Any] = {"fontsize": 8, "parse_math": False}  # a name with a dollar sign is no formula
 
@@ -39,6 +40,17 @@ class Trace:
 
     run: BenchRun
     readings: Mapping[str, FloatArray]
+
+
+def has_matplotlib() -> bool:
+    """Whether pictures can be drawn; says so where they cannot."""
+    try:
+        import matplotlib
+    except ImportError:
+        say("no report page: matplotlib is not installed (pip install 'frasa[report]')")
+        return False
+    matplotlib.use("Agg")
+    return True
 
 
 def image(figure: "Figure", meaning: str) -> Html:
@@ -63,8 +75,8 @@ def trace_figure(traces: Sequence[Trace], held: set[str], worst: str = "") -> "F
     rows = (len(traces) + 1) // 2
     figure = Figure(figsize=(11, 3.1 * rows + 0.3), layout="constrained")
     names = list(dict.fromkeys(name for trace in traces for name in trace.readings))
-    others = cycle(_OTHERS)
-    colours = {name: _COLOURS.get(name) or next(others) for name in names}
+    others = cycle(OTHERS)
+    colours = {name: COLOURS.get(name) or next(others) for name in names}
     cells = np.ravel(figure.subfigures(rows, 2, squeeze=False, hspace=0.02))
     for cell, trace in zip(cells, traces, strict=False):
         above, below = cell.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (2.6, 1)})

@@ -35,6 +35,8 @@ for (const head of document.querySelectorAll("table.sort th")) head.onclick = ()
 # The page may use what is in it and nothing else, whatever a log's name tries.
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
+_WIDTH, _HEIGHT = 160, 20  # of an interval's drawing [px]
+
 
 class Html(str):
     """Text that is HTML already."""
@@ -81,6 +83,54 @@ def table(
         for i, row in enumerate(rows)
     ]
     return tag("div", tag("table", tag("thead", head), tag("tbody", *lines), css=css), css="wide")
+
+
+def pill(verdict: str) -> Html:
+    """A verdict in its colour."""
+    mood = "good" if verdict == "identified" else "bad" if verdict.startswith("not") else ""
+    return tag("span", verdict, css=f"pill {mood}".strip())
+
+
+def interval_drawing(
+    interval: tuple[float, float, float],
+    before: float,
+    ends: tuple[float, float],
+    sure: bool,
+    thin: tuple[float, float] | None = None,
+    title: str = "",
+) -> Html:
+    """An interval as a small drawing between two ends; what lies beyond them is drawn at them.
+
+    Args:
+        interval: low, value, high: a bar with a dot in it.
+        before: hollow mark.
+        ends: of the grey line.
+        sure: coloured so.
+        thin: another interval, a thin line below.
+        title: shown on pointing at it.
+    """
+    low, value, high = interval
+
+    def at(one: float) -> float:
+        share = (one - ends[0]) / max(ends[1] - ends[0], 1e-300)
+        return round(6 + min(max(share, 0.0), 1.0) * (_WIDTH - 12), 1)
+
+    colour, left, right, middle = "#2a9d5c" if sure else "#d98a00", at(low), at(high), _HEIGHT / 2
+    line = (
+        f'<line x1="{at(thin[0])}" x2="{at(thin[1])}" y1="{middle + 7}" y2="{middle + 7}" stroke="#5b6875"/>'
+        if thin
+        else ""
+    )
+    shapes = (
+        f'<line x1="6" x2="{_WIDTH - 6}" y1="{middle}" y2="{middle}" stroke="#c5ced8" stroke-width="2"/>'
+        f'<rect x="{left}" y="{middle - 4}" width="{max(right - left, 1.0):.1f}" height="8" rx="2" fill="{colour}" '
+        'fill-opacity=".45"/>'
+        f"{line}"
+        f'<path d="M{at(before)} {middle - 5}l4 5l-4 5l-4 -5z" fill="none" stroke="#5b6875"/>'
+        f'<circle cx="{at(value)}" cy="{middle}" r="3.4" fill="{colour}"/>'
+    )
+    label = f"<title>{html.escape(title)}</title>" if title else ""
+    return Html(f'<svg class="range" width="{_WIDTH}" height="{_HEIGHT}" role="img">{label}{shapes}</svg>')
 
 
 def section(title: str, *content: object) -> Html:

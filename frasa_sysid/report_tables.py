@@ -1,7 +1,6 @@
 """The words and tables of a fit's report page."""
 
 from collections.abc import Sequence
-from html import escape
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from frasa_sysid.fit import FitResult
 from frasa_sysid.fit_record import Extras, torque_off
 from frasa_sysid.problem import FreeParameter
 from frasa_sysid.recording import FloatArray
-from frasa_sysid.report_html import Html, join, table, tag
+from frasa_sysid.report_html import Html, interval_drawing, join, pill, table, tag
 from frasa_sysid.search import Stop
 from frasa_sysid.stand_in import StandIn
 
@@ -48,7 +47,6 @@ _TORQUE_OFF = {
     "short-brake": "With its torque switched off it brakes: the damping stays, as if the windings were shorted.",
     "unclear": "What it does with its torque switched off, these logs do not tell.",
 }
-_WIDTH, _HEIGHT = 160, 20  # of an interval's graphic [px]
 
 
 def summary(result: FitResult, extras: Extras) -> Html:
@@ -110,7 +108,7 @@ def parameter_table(result: FitResult, extras: Extras) -> Html:
         cells: list[object] = [name, f"{one.nominal:.4g}", tag("b", f"{one.value:.4g}"), unit]
         cells += [_interval(one.low, one.high), _interval(*step)]
         cells += [_interval(*refit[i])] if refit is not None else []
-        rows.append([*cells, _range(one, free, step), _pill(one.verdict)])
+        rows.append([*cells, _range(one, free, step), pill(one.verdict)])
     caption = (
         "The grey line is the range that was searched, the bar the 95 % interval (clustered by log), the thin line "
         "the bootstrap over logs, the dot the fit, the hollow mark the nominal value (at an end: beyond the range)."
@@ -128,32 +126,12 @@ def _interval(low: float, high: float) -> str:
     return f"{low:.4g} to {high:.4g}"
 
 
-def _pill(verdict: str) -> Html:
-    mood = "good" if verdict == "identified" else "bad" if verdict.startswith("not") else ""
-    return tag("span", verdict, css=f"pill {mood}".strip())
-
-
 def _range(one: Estimate, free: FreeParameter, step: FloatArray) -> Html:
     """The intervals of one number as a small drawing."""
-
-    def at(value: float) -> float:
-        share = (value - free.low) / max(free.high - free.low, 1e-300)
-        return round(6 + float(np.clip(share, 0.0, 1.0)) * (_WIDTH - 12), 1)
-
-    colour = "#2a9d5c" if one.verdict == "identified" else "#d98a00"
-    low, high, middle = at(one.low), at(one.high), _HEIGHT / 2
-    shapes = (
-        f'<line x1="6" x2="{_WIDTH - 6}" y1="{middle}" y2="{middle}" stroke="#c5ced8" stroke-width="2"/>'
-        f'<rect x="{low}" y="{middle - 4}" width="{max(high - low, 1.0):.1f}" height="8" rx="2" fill="{colour}" '
-        'fill-opacity=".45"/>'
-        f'<line x1="{at(step[0])}" x2="{at(step[1])}" y1="{middle + 7}" y2="{middle + 7}" stroke="#5b6875"/>'
-        f'<path d="M{at(one.nominal)} {middle - 5}l4 5l-4 5l-4 -5z" fill="none" stroke="#5b6875"/>'
-        f'<circle cx="{at(one.value)}" cy="{middle}" r="3.4" fill="{colour}"/>'
-    )
-    title = escape(f"searched from {free.low:.4g} to {free.high:.4g} {free.unit}")
-    return Html(
-        f'<svg class="range" width="{_WIDTH}" height="{_HEIGHT}" role="img"><title>{title}</title>{shapes}</svg>'
-    )
+    title = f"searched from {free.low:.4g} to {free.high:.4g} {free.unit}"
+    thin = float(step[0]), float(step[1])
+    sure = one.verdict == "identified"
+    return interval_drawing((one.low, one.value, one.high), one.nominal, (free.low, free.high), sure, thin, title)
 
 
 def record_next(result: FitResult, beforehand: Sequence[str]) -> Html:

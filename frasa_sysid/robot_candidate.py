@@ -10,7 +10,8 @@ from dataclasses import dataclass, field, replace
 import mujoco
 import numpy as np
 
-from frasa_sysid.calibration import actuators_of, dofs_of, number, servo_classes, servo_law
+from frasa_sysid.calibration import actuators_of, dofs_of, number, read, servo_classes, servo_law
+from frasa_sysid.calibration.apply import PRESENT_SUPPLY
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.robot_rig import actuated_joints
 
@@ -26,6 +27,7 @@ class Candidate:
 
     Attributes:
         command_delay: [s].
+        command_delays: of single servo classes by name, where it is another one [s].
         zeros: of joints by name [rad]; those not named are zero.
         gain, damping, friction: scales of each servo class by name [1], on what the model holds.
         trunk_mass: [kg]; None as the model has it.
@@ -41,6 +43,29 @@ class Candidate:
     trunk_mass: float | None = None
     trunk_shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ages: Mapping[str, float] = field(default_factory=dict)
+    command_delays: Mapping[str, float] = field(default_factory=dict)
+
+
+def candidate_of(model: mujoco.MjModel) -> Candidate:
+    """The delays that a model itself has, as they are physically; everything else stays in the model.
+
+    A MuJoCo model acts on a command half a step early, and its speeds are half a step old already, so its own
+    delays are half a step longer and shorter than these. On a command delay below a step it acts as on a step.
+
+    Args:
+        model: with its sensors and histories.
+    """
+    step = float(model.opt.timestep)
+
+    def acts(name: str) -> float:
+        delay = read(model, name)
+        return max(delay, step) if delay > 0.0 else 0.0
+
+    ages = {name: acts(f"sensor.{name}_delay") for name in ("position", "velocity", "gyro", "orientation")}
+    return Candidate(
+        command_delays={servo: acts(f"{servo}.delay") - 0.5 * step for servo in servo_classes(model)},
+        ages={name: age + (0.5 * step if name in ("velocity", "gyro") else 0.0) for name, age in ages.items()},
+    )
 
 
 class Writer:
@@ -49,28 +74,32 @@ class Writer:
     Args:
         model: the robot with frozen fits applied; never changed.
         trunk: its root body.
+
+    Attributes:
+        servos: indices of the actuators of each servo class.
     """
 
     def __init__(self, model: mujoco.MjModel, trunk: int) -> None:
         self._model, self._trunk = model, trunk
         self._scratch = mujoco.MjData(model)
-        self._servos = {servo: actuators_of(model, servo) for servo in servo_classes(model)}
-        self._dofs = {servo: dofs_of(model, actuators) for servo, actuators in self._servos.items()}
-        self._laws = {servo: servo_law.law(model, servo) for servo in self._servos}
+        self.servos = {servo: actuators_of(model, servo) for servo in servo_classes(model)}
+        self._dofs = {servo: dofs_of(model, actuators) for servo, actuators in self.servos.items()}
+        self._laws = {servo: servo_law.law(model, servo) for servo in self.servos}
         self._joints = dict(zip(actuated_joints(model), model.actuator_trnid[:, 0], strict=True))
         self.stated_supply = number(model, "servo_supply_voltage")
+        self._held_supply = _supply_of(model)
         self.stated_gain = number(model, "servo_firmware_gain")
 
     def write(self, model: mujoco.MjModel, one: Candidate, supply: float, firmware_gain: float | None) -> None:
         """Make a copy of the model that candidate's robot at a supply [V] and firmware gain."""
         original = self._model
-        volts = supply / self.stated_supply
+        volts = supply / self._held_supply
         firmware = (firmware_gain or self.stated_gain) / self.stated_gain
         model.body_quat[:] = original.body_quat
         for name, zero in one.zeros.items():
             if zero:
                 self._turn(model, int(self._joints[name]), -zero)
-        for servo, actuators in self._servos.items():
+        for servo, actuators in self.servos.items():
             scale = one.gain.get(servo, 1.0) * volts
             gain = original.actuator_gainprm[actuators, 0] * scale * firmware
             model.actuator_gainprm[actuators, 0] = gain
@@ -103,3 +132,10 @@ class Writer:
         model.body_mass[body] = mass
         model.body_inertia[body] = original.body_inertia[body] * mass / original.body_mass[body]
         model.body_ipos[body] = original.body_ipos[body] + np.array(one.trunk_shift)
+
+
+def _supply_of(model: mujoco.MjModel) -> float:
+    """Supply [V] that a model's gains and torque limits hold at, which a published one may have changed."""
+    if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, PRESENT_SUPPLY) >= 0:
+        return read(model, "supply_voltage")
+    return number(model, "servo_supply_voltage")

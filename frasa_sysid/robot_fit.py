@@ -18,20 +18,20 @@ import numpy as np
 from frasa_sysid.calibration import load_model, read, servo_classes, write_atomic
 from frasa_sysid.publish import publish
 from frasa_sysid.recording import FloatArray, Recording
+from frasa_sysid.robot_candidate import candidate_of
 from frasa_sysid.robot_fit_record import RobotEstimate
 from frasa_sysid.robot_numbers import COMMAND_DELAY
 from frasa_sysid.robot_problem import DEFAULT_GROUPS, FreeNumber, RobotProblem, state_robot_problem
 from frasa_sysid.robot_residuals import Comparison
 from frasa_sysid.robot_rig import Base, RobotRun, robot_run
-from frasa_sysid.robot_simulator import RobotSimulator, pieces_of
+from frasa_sysid.robot_simulator import RobotSimulator, split_pieces
 from frasa_sysid.robot_solve import Settled, Stack, Tell, covariance_of, settle_robot
 from frasa_sysid.stored_fit import StoredFit
 
-PIECE: dict[Base, float] = {"fixed": 2.0, "floating": 1.0}  # [s] compared; on the ground small errors grow
-WARM: dict[Base, float] = {"fixed": 0.3, "floating": 0.25}  # [s] before, for the start's errors to die out
 _SILENT = 0.7  # of the prior's width that an interval must stay below to say anything
 _TOGETHER = 0.95  # correlation beyond which only a combination is known
-_HALF_STEP = {COMMAND_DELAY: 0.5, "sensor.velocity_delay": -0.5, "sensor.gyro_delay": -0.5}
+# [steps] that a model's delay is longer than the physical one
+HALF_STEP = {COMMAND_DELAY: 0.5, "sensor.velocity_delay": -0.5, "sensor.gyro_delay": -0.5}
 
 RECORD = {
     "command.delay": "quick changes of the goals (frasa-sysid excite), at 100 Hz or more",
@@ -79,7 +79,7 @@ class RobotFit:
         for i, (free, value, half) in enumerate(zip(self.problem.free, self.settled.x, self.half, strict=True)):
             partner = self.problem.free[int(np.argmax(correlation[i]))].name
             verdict = _verdict(free, float(value), float(half), float(correlation[i].max()), partner)
-            shift = _HALF_STEP.get(free.name, 0.0) * self.timestep
+            shift = HALF_STEP.get(free.name, 0.0) * self.timestep
             # What a zero or a shift is cannot be bounded by what a delay or a scale must be.
             low, high = max(value - half, free.kind.low), min(value + half, free.kind.high)
             least = 0.0 if free.kind.low >= 0.0 else -np.inf
@@ -146,7 +146,8 @@ def fit_robot(
         simulators = {one: stack.enter_context(RobotSimulator(path, one, threads)) for one in bases}
         trunk = simulators[bases[0]].model.body_mass[simulators[bases[0]].trunk]
         delays = model_delays(model, position_delay)
-        problem = state_robot_problem(runs, servo_classes(model), delays, float(trunk), groups, seed)
+        own = candidate_of(model).command_delays
+        problem = state_robot_problem(runs, servo_classes(model), delays, float(trunk), groups, seed, own)
         fitted, held = _comparisons(simulators, runs, hold_out)
         settled = settle_robot(problem, Stack(fitted), start, tell, keep)
         logged, covariance, half = covariance_of(problem, settled.linear)
@@ -174,10 +175,9 @@ def _comparisons(
     for base, simulator in simulators.items():
         kept, left = [], []
         for run in (one for one in runs if one.base == base):
-            pieces = pieces_of(run, simulator.timestep, PIECE[base], WARM[base])
-            count = len(pieces) - round(hold_out * len(pieces))
-            kept += pieces[:count]
-            left += pieces[count:]
+            first, last = split_pieces(run, simulator.timestep, hold_out)
+            kept += first
+            left += last
         fitted.append(Comparison(simulator, kept))
         held += [Comparison(simulator, left)] if left else []
     return fitted, held

@@ -5,8 +5,8 @@ is; a number whose interval is hardly narrower than its prior's is called not ex
 is never taken for a measurement.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -79,6 +79,7 @@ class RobotProblem:
         ages: of channels that are declared, by name [s]; that of positions always is.
         trunk_mass: before the fit [kg].
         seed: kept with the result.
+        command_delays: of servo classes, where that of commands is not free [s].
     """
 
     runs: tuple[RobotRun, ...]
@@ -86,6 +87,7 @@ class RobotProblem:
     ages: dict[str, float]
     trunk_mass: float
     seed: int = 0
+    command_delays: Mapping[str, float] = field(default_factory=dict)
 
     def start(self) -> FloatArray:
         """Where the fit starts, (n,)."""
@@ -99,19 +101,19 @@ class RobotProblem:
         """The robot that values of the free numbers, (n,), mean."""
         found: dict[str, dict[str, float]] = {"zero": {}, "gain_scale": {}, "damping_scale": {}, "friction_scale": {}}
         ages, shift = dict(self.ages), [0.0, 0.0, 0.0]
-        one = Candidate()
+        one = Candidate(command_delays=self.command_delays)
         for free, value in zip(self.free, map(float, x), strict=True):
-            owner, _, field = free.name.partition(".")
+            owner, _, what = free.name.partition(".")
             if free.name == COMMAND_DELAY:
                 one = replace(one, command_delay=value)
             elif owner == "sensor":
-                ages[field.removesuffix("_delay")] = value
-            elif field == "mass_scale":
+                ages[what.removesuffix("_delay")] = value
+            elif what == "mass_scale":
                 one = replace(one, trunk_mass=value * self.trunk_mass)
-            elif field.startswith("com_shift"):
-                shift[AXES.index(field[-1])] = value
+            elif what.startswith("com_shift"):
+                shift[AXES.index(what[-1])] = value
             else:
-                found[field][owner] = value
+                found[what][owner] = value
         return replace(
             one,
             ages=ages,
@@ -130,6 +132,7 @@ def state_robot_problem(
     trunk_mass: float,
     groups: Sequence[str] = DEFAULT_GROUPS,
     seed: int = 0,
+    command_delays: Mapping[str, float] | None = None,
 ) -> RobotProblem:
     """A fit of some groups of numbers on some runs.
 
@@ -140,6 +143,7 @@ def state_robot_problem(
         trunk_mass: [kg].
         groups: names out of `GROUPS`.
         seed: for the record.
+        command_delays: of servo classes [s], which hold where the delays are not free.
 
     Raises:
         UsageError: an unknown group.
@@ -161,7 +165,8 @@ def state_robot_problem(
         free.append(FreeNumber("trunk.mass_scale", MASS_SCALE, 1.0))
         free += [FreeNumber(f"trunk.com_shift_{axis}", SHIFT, 0.0) for axis in AXES]
     declared = {name: delays[name] for name in ("position", "velocity", "gyro", "orientation")}
-    return RobotProblem(tuple(runs), tuple(free), declared, trunk_mass, seed)
+    kept = {} if "delays" in groups else dict(command_delays or {})
+    return RobotProblem(tuple(runs), tuple(free), declared, trunk_mass, seed, kept)
 
 
 def _moving_channels(runs: Sequence[RobotRun]) -> list[str]:

@@ -18,6 +18,7 @@ from frasa_sysid.robot_simulator import Piece, RobotSimulator
 
 CORRELATION_TIME = 0.05  # [s] within which residuals of one column count as one sample
 CLUSTER = 1.0  # [s]; residuals of one joint that are closer are not taken as independent evidence
+DIVERGED = 10.0  # residual of a simulation that blew up, in the unit of its channel
 IntArray = npt.NDArray[np.int64]
 
 
@@ -38,6 +39,25 @@ class Layout:
     names: tuple[str, ...]
     floors: FloatArray
     thinning: FloatArray
+
+
+@dataclass(frozen=True)
+class Samples:
+    """What the R residuals of a set of pieces are of.
+
+    Attributes:
+        t: stamps from the run's start [s], shape (R,).
+        y: measured, tilt in place of an orientation, shape (R,).
+        piece: which piece, shape (R,).
+        run: which run of `names`, shape (R,).
+        names: of the runs.
+    """
+
+    t: FloatArray
+    y: FloatArray
+    piece: IntArray
+    run: IntArray
+    names: tuple[str, ...]
 
 
 class Comparison:
@@ -112,13 +132,30 @@ class Comparison:
             found[c, starts[p] : starts[p + 1]] = self._piece(p, states, candidates[c])
         return found
 
+    def samples(self) -> Samples:
+        """Times and measured values of the residuals, in their order."""
+        times, values, names = [], [], tuple(dict.fromkeys(piece.run.name for piece in self.pieces))
+        for piece, window in zip(self.pieces, self._windows, strict=True):
+            for name, rows, width in window:
+                channel = piece.run.channels[name]
+                times.append(np.repeat(channel.t[rows], width))
+                values.append(self._measured(name, channel, rows).ravel())
+        owner = [names.index(piece.run.name) for piece in self.pieces]
+        return Samples(
+            np.concatenate(times),
+            np.concatenate(values),
+            np.repeat(np.arange(len(self.pieces)), self._sizes),
+            np.repeat(np.array(owner, np.int64), self._sizes),
+            names,
+        )
+
     def _piece(self, p: int, states: FloatArray, one: Candidate) -> FloatArray:
         piece, parts = self.pieces[p], []
         for name, rows, _ in self._windows[p]:
             channel = piece.run.channels[name]
             times = channel.t[rows] - one.ages.get(name, 0.0) - piece.first * self.simulator.timestep
             parts.append((self._reading(name, states, times, channel) - self._measured(name, channel, rows)).ravel())
-        return np.nan_to_num(np.concatenate(parts), nan=10.0)
+        return np.nan_to_num(np.concatenate(parts), nan=DIVERGED)
 
     def _reading(self, name: str, states: FloatArray, times: FloatArray, channel: Channel) -> FloatArray:
         columns = {

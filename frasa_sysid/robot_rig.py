@@ -104,6 +104,12 @@ def robot_run(recording: Recording, model: mujoco.MjModel, base: Base | None = N
     )
 
 
+def is_robot(recording: Recording) -> bool:
+    """Whether a recording is of many joints."""
+    position = recording.signals.get("position")
+    return position is not None and len(position.columns) > 1
+
+
 def actuated_joints(model: mujoco.MjModel) -> tuple[str, ...]:
     """Names of the joints that the actuators turn, in their order."""
     return tuple(model.joint(int(joint)).name for joint in model.actuator_trnid[:, 0])

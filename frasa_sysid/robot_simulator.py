@@ -20,6 +20,7 @@ import numpy as np
 from mujoco import rollout
 
 from frasa_sysid.calibration import load_model, servo_law
+from frasa_sysid.errors import LogError
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.robot_body import hold
 from frasa_sysid.robot_candidate import Candidate, Writer
@@ -27,6 +28,9 @@ from frasa_sysid.robot_rig import Base, RobotRun
 from frasa_sysid.robot_start import gravity_of, start_states
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+PIECE: dict[Base, float] = {"fixed": 2.0, "floating": 1.0}  # [s] compared; on the ground small errors grow
+WARM: dict[Base, float] = {"fixed": 0.3, "floating": 0.25}  # [s] before, for the start's errors to die out
+_SHORTEST = 0.2  # [s] of a piece
 _JOBS = 64  # simulations in one call
 
 
@@ -44,6 +48,19 @@ class Piece:
     first: int
     begin: int
     end: int
+
+
+def split_pieces(run: RobotRun, timestep: float, hold_out: float) -> tuple[list[Piece], list[Piece]]:
+    """Pieces of a run to fit, and those of its last share that are held out.
+
+    Raises:
+        LogError: the run is too short for a piece.
+    """
+    pieces = pieces_of(run, timestep, PIECE[run.base], WARM[run.base])
+    if pieces[0].end - pieces[0].begin < _SHORTEST / timestep:
+        raise LogError(f"{run.name}: {run.steps * timestep:.2f} s; expected {WARM[run.base] + _SHORTEST:g} s or more")
+    count = len(pieces) - round(hold_out * len(pieces))
+    return pieces[:count], pieces[count:]
 
 
 def pieces_of(run: RobotRun, timestep: float, seconds: float, warm: float) -> list[Piece]:
@@ -117,8 +134,11 @@ class RobotSimulator:
         commands = np.empty((len(batch), steps, self.model.nu))
         for model, row, (c, p) in zip(self._pool, commands, batch, strict=False):
             piece, one = pieces[p], candidates[c]
-            # The torque of a step makes the speed of its middle, so it acts half a step early.
-            row[:] = delayed(piece.run.goal, piece.first, steps, one.command_delay / self.timestep + 0.5)
+            for servo, actuators in self.writer.servos.items():
+                delay = one.command_delays.get(servo, one.command_delay)
+                # The torque of a step makes the speed of its middle, so it acts half a step early.
+                late = delay / self.timestep + 0.5
+                row[:, actuators] = delayed(piece.run.goal[:, actuators], piece.first, steps, late)
             self._configure(model, piece, one)
         state = np.zeros((len(batch), mujoco.mj_stateSize(self.model, _STATE)))
         for row, (_, p) in zip(state, batch, strict=True):

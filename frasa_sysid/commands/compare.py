@@ -14,16 +14,16 @@ from frasa_sysid.calibration import SERVO_FIELDS, add_json_flag, calibration_id,
 from frasa_sysid.calibration.friction import FIELDS as FRICTION_FIELDS
 from frasa_sysid.calibration.friction import Friction
 from frasa_sysid.calibration.servo_law import law
-from frasa_sysid.commands.bench import Bench, add_bench_arguments, bench_model, load_bench, people_console
+from frasa_sysid.commands.bench import Bench, add_bench_arguments, bench_model, load_bench, people_console, read_logs
+from frasa_sysid.commands.compare_robot import SCHEMA, compare_robot_logs
+from frasa_sysid.commands.fit_robot import add_base_argument, add_share_argument
 from frasa_sysid.cost import Misfit, misfit
 from frasa_sysid.errors import ModelError, UsageError
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.report import Trace, write_trace_report
 from frasa_sysid.rig import BenchRun
+from frasa_sysid.robot_rig import is_robot
 from frasa_sysid.servo_values import FIELDS, NO_LIMIT, ServoValues
-
-SCHEMA = "frasa.compare/1"
-
 
 _RIG_OFFSET = "offset["  # `bench.offset[1.2kg 0.15m]`: zero of one rig beside the one that all share
 
@@ -42,7 +42,8 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser = subparsers.add_parser(
         "compare",
         help="simulated against measured, for models and fits",
-        description="Simulate bench logs with the nominal model and with any fits and models, and print the errors.",
+        description="Simulate logs of a bench or of the whole robot with the nominal model and with any fits and "
+        "models, and print the errors.",
     )
     add_bench_arguments(parser)
     parser.add_argument("--fit", type=Path, action="append", default=[], help="a fit file; may be repeated")
@@ -52,6 +53,9 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument(
         "--bam", type=Path, action="append", default=[], metavar="JSON", help="a BAM parameter file; may be repeated"
     )
+    group = parser.add_argument_group("logs of the whole robot")
+    add_base_argument(group)
+    add_share_argument(group, "compare the end of each log only, which a fit with the same share never saw")
     parser.add_argument("--report", type=Path, metavar="HTML", help="write the traces to a page")
     add_json_flag(parser)
     parser.set_defaults(run=run)
@@ -67,7 +71,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if args.model.is_file() and calibration_id(load_model(args.model)) is not None:
         args.with_model = [args.model, *args.with_model]
         args.model = args.model.with_name("nominal.xml")
-    bench = load_bench(args)
+    recordings = read_logs(args)
+    if any(is_robot(one) for one in recordings):
+        return compare_robot_logs(args, recordings)
+    bench = load_bench(args, recordings=recordings)
     candidates = _candidates(args, bench)
     with bench.session(bench_model(args), args.threads) as session:
         runs, _ = bench.runs(session)

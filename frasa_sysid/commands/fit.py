@@ -17,7 +17,7 @@ from frasa_sysid.calibration.friction import LAWS
 from frasa_sysid.choice import Choice, choose
 from frasa_sysid.claims import settle
 from frasa_sysid.commands.bench import Bench, add_bench_arguments, bench_model, load_bench, people_console, read_logs
-from frasa_sysid.commands.fit_robot import add_robot_arguments, fit_robot_logs, is_robot
+from frasa_sysid.commands.fit_robot import add_robot_arguments, fit_robot_logs
 from frasa_sysid.commands.publish import add_as_flag, load_fits, publish_files
 from frasa_sysid.effects import EFFECTS
 from frasa_sysid.errors import CalibrationError, InterruptedRunError, UsageError
@@ -31,6 +31,7 @@ from frasa_sysid.readout import LONGEST_AGE, disagreement, separate
 from frasa_sysid.replay import replay
 from frasa_sysid.report import write_fit_report
 from frasa_sysid.restarts import Tell
+from frasa_sysid.robot_rig import is_robot
 from frasa_sysid.search import Stop
 from frasa_sysid.spread import Spread, spread_over
 from frasa_sysid.stand_in import stand_in
@@ -257,7 +258,7 @@ def _publish(
     model_path = args.model.with_name("calibrated.xml")
     as_m1 = args.as_law == "m1" and extras.stand_in is not None
 
-    def check(model: mujoco.MjModel) -> None:
+    def check(model: mujoco.MjModel, path: Path) -> None:
         worst, runs = replay(model, result, extras.stand_in if as_m1 else None, session)
         say(f"{model_path} replays the {runs} runs within {worst * 1e3:.2g} mrad of the fit")
 

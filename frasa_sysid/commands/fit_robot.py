@@ -3,16 +3,18 @@
 import argparse
 import hashlib
 import json
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from frasa_sysid import stored_fit, stored_robot_fit
-from frasa_sysid.calibration import load_model, number, say, servo_classes, write_atomic
+from frasa_sysid.calibration import load_model, number, read, say, servo_classes, write_atomic
 from frasa_sysid.commands.bench import inputs_of, origin_of, people_console
 from frasa_sysid.commands.publish import publish_files
 from frasa_sysid.errors import InterruptedRunError, LogError, UsageError
@@ -21,10 +23,15 @@ from frasa_sysid.fit_json import read_json
 from frasa_sysid.fit_record import log_facts
 from frasa_sysid.joint_checks import checks
 from frasa_sysid.model_mark import mark_of
+from frasa_sysid.published_as import as_m1
 from frasa_sysid.recording import FloatArray, Recording
-from frasa_sysid.robot_fit import RobotFit, fit_robot
-from frasa_sysid.robot_fit_record import Interval, RobotFitRecord, base_numbers, with_products
+from frasa_sysid.report_robot import RobotPage, write_robot_report
+from frasa_sysid.robot_check import check_published_robot
+from frasa_sysid.robot_compare import compare_runs, held_from, last_share, of_found
+from frasa_sysid.robot_fit import RobotFit, fit_robot, frozen_model
+from frasa_sysid.robot_fit_record import Interval, RobotEstimate, RobotFitRecord, base_numbers, with_products
 from frasa_sysid.robot_problem import DEFAULT_GROUPS, GROUPS
+from frasa_sysid.robot_rig import is_robot
 from frasa_sysid.stored_fit import StoredFit
 
 SUM_ONLY = (
@@ -36,19 +43,23 @@ SUM_ONLY = (
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
     """What only logs of the whole robot need."""
     group = parser.add_argument_group("logs of the whole robot")
-    group.add_argument("--base", choices=("fixed", "floating"), help="trunk held, or robot on the ground [as logged]")
+    add_base_argument(group)
     group.add_argument("--free", metavar="LIST", help=f"of {', '.join(GROUPS)} [{','.join(DEFAULT_GROUPS)}]")
     group.add_argument("--position-delay", type=float, default=0.0, metavar="S", help="age of a joint position [0]")
     group.add_argument(
         "--frozen", type=Path, action="append", metavar="FIT", help="bench fit that applies [those beside --model]"
     )
-    group.add_argument("--hold-out-share", type=float, default=0.0, metavar="S", help="end of each log to compare only")
+    add_share_argument(group, "end of each log to compare only")
 
 
-def is_robot(recording: Recording) -> bool:
-    """Whether a recording is of many joints."""
-    position = recording.signals.get("position")
-    return position is not None and len(position.columns) > 1
+def add_base_argument(group: "argparse._ArgumentGroup") -> None:
+    """How the robot was held, where the log does not say."""
+    group.add_argument("--base", choices=("fixed", "floating"), help="trunk held, or robot on the ground [as logged]")
+
+
+def add_share_argument(group: "argparse._ArgumentGroup", meaning: str) -> None:
+    """How much of the end of each log is held out."""
+    group.add_argument("--hold-out-share", type=float, default=0.0, metavar="S", help=meaning)
 
 
 def fit_robot_logs(args: argparse.Namespace, recordings: Sequence[Recording]) -> dict[str, Any]:
@@ -72,10 +83,11 @@ def fit_robot_logs(args: argparse.Namespace, recordings: Sequence[Recording]) ->
     partial.unlink(missing_ok=True)
     show_robot(found, record)
     outputs: dict[str, Any] = {"fit": out, "model": None, "ranges": None, "report": None}
+    if not args.no_report:
+        outputs["report"] = _report(args, fits, found, record, out.with_suffix(".html"))
     if args.publish:
         outputs["model"] = args.model.with_name("calibrated.xml")
-        robot = stored_robot_fit.load(out)
-        outputs["ranges"] = publish_files(fits, args.model, outputs["model"], as_law=args.as_law, robot=robot)
+        outputs["ranges"] = _publish(args, fits, found, out, outputs["model"])
     for name, path in outputs.items():
         if path is not None:
             say(f"{name}: {path}")
@@ -182,11 +194,12 @@ def _record(
 ) -> RobotFitRecord:
     model = load_model(args.model)
     estimates = found.estimates()
+    declared = _declared(args, read(model, "sensor.position_delay"))
     sd = np.sqrt(np.diag(found.covariance))
     facts = log_facts(recordings)
     bases = {run.base for run in found.problem.runs}
     return RobotFitRecord(
-        with_products(estimates, base_numbers(model, fits)),
+        with_products((*estimates, *declared), base_numbers(model, fits)),
         tuple(one.name for one in estimates),
         found.covariance / np.outer(sd, sd),
         bases.pop() if len(bases) == 1 else "both",
@@ -201,6 +214,36 @@ def _record(
         {"misfit": _misfit(found), "physical_delays": _physical(found), "seed": args.seed, "versions": versions(),
          "converged": found.settled.converged, "evaluations": found.settled.evaluations},
     )  # fmt: skip
+
+
+def _declared(args: argparse.Namespace, before: float) -> list[RobotEstimate]:
+    """The age of positions, where it is another one than the model's [s]: the command delay is the sum less it."""
+    age = float(args.position_delay)
+    if age == before:
+        return []
+    return [RobotEstimate("sensor.position_delay", age, age, age, "fixed: declared by --position-delay", before)]
+
+
+def _report(
+    args: argparse.Namespace, fits: Sequence[StoredFit], found: RobotFit, record: RobotFitRecord, path: Path
+) -> Path | None:
+    runs, share = found.problem.runs, args.hold_out_share
+    with tempfile.TemporaryDirectory() as folder:
+        frozen = frozen_model(args.model, fits, Path(folder))
+        compared = {one.name: compare_runs(one, runs, last_share(0.0), args.threads) for one in of_found(found, frozen)}
+    held = held_from(runs, found.timestep, share) if share else {}
+    return write_robot_report(path, RobotPage(found, record, compared, [one.servo for one in fits], held))
+
+
+def _publish(args: argparse.Namespace, fits: Sequence[StoredFit], found: RobotFit, out: Path, model_path: Path) -> Path:
+    robot = stored_robot_fit.load(out)
+    benches = [as_m1(one) for one in fits] if args.as_law == "m1" else fits
+
+    def check(model: mujoco.MjModel, path: Path) -> None:
+        mean, count = check_published_robot(path, found, robot, benches, args.model, args.threads)
+        say(f"{model_path} replays {count} pieces of the logs within {mean * 1e3:.2g} mrad (mean) of the fit")
+
+    return publish_files(fits, args.model, model_path, check, args.as_law, robot)
 
 
 def _pair(limits: Sequence[float] | None) -> Interval | None:

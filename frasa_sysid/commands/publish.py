@@ -76,7 +76,7 @@ def publish_files(
     fits: Sequence[StoredFit],
     nominal: Path,
     out: Path,
-    check: Callable[[mujoco.MjModel], None] | None = None,
+    check: Callable[[mujoco.MjModel, Path], None] | None = None,
     as_law: str | None = None,
     robot: StoredRobotFit | None = None,
 ) -> Path:
@@ -86,7 +86,7 @@ def publish_files(
         fits: of servos.
         nominal: the model they started from.
         out: the model file; the ranges go beside it.
-        check: a last look at the compiled model, which raises when it is not good.
+        check: a last look at the compiled model and its file, which raises when it is not good.
         as_law: `m1` publishes the Coulomb-viscous stand-ins.
         robot: a fit of the whole robot.
 
