@@ -21,6 +21,7 @@ from frasa_sysid.errors import InterruptedRunError, LogError, UsageError
 from frasa_sysid.fit import versions
 from frasa_sysid.fit_json import read_json
 from frasa_sysid.fit_record import log_facts
+from frasa_sysid.joint_checks import checks
 from frasa_sysid.model_mark import mark_of
 from frasa_sysid.published_as import as_m1
 from frasa_sysid.recording import FloatArray, Recording
@@ -97,6 +98,13 @@ def _check(args: argparse.Namespace, recordings: Sequence[Recording]) -> None:
     single = [one.name for one in recordings if not is_robot(one)]
     if single:
         raise LogError(f"{single[0]} is of one joint and the others are of a whole robot; fit them apart")
+    found = [one for recording in recordings for one in checks(recording)]
+    for one in found:
+        say(f"{one.recording}: {one.message}")
+    refused = [one for one in found if one.level == "refuse"]
+    if refused:
+        # Its message names the recording itself where it needs to.
+        raise LogError(f"{refused[0].recording} would mislead a fit: {refused[0].message}")
     if not 0.0 <= args.hold_out_share <= 0.9:
         raise UsageError(f"--hold-out-share {args.hold_out_share:g}: expected 0 to 0.9")
     if not 0.0 <= args.position_delay <= 0.1:

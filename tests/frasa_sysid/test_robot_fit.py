@@ -247,6 +247,21 @@ def test_from_the_command_line_into_the_model(robot_model_dir, recording, tmp_pa
     assert read_log(log)[0].rig.base == "fixed"
 
 
+def test_a_joint_mounted_the_other_way_round_is_refused(robot_model_dir, recording, tmp_path, capsys):
+    """A measured position with the wrong sign ends the command before a fit is misled by it, with status 3."""
+    position = recording.signals["position"]
+    y = position.y.copy()
+    y[:, position.columns.index("head_pitch")] *= -1.0
+    turned = Signal("position", "rad", position.t, y, position.columns)
+    log = tmp_path / "robot.mcap"
+    write_mcap(log, [replace(recording, signals={**recording.signals, "position": turned})])
+    out = tmp_path / "robot.json"
+    command = ["fit", str(log), "--model", str(robot_model_dir / "nominal.xml"), "--out", str(out), "--free", "delays"]
+    assert run_command(build_parser(), command) == 3
+    assert "head_pitch" in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_an_interrupted_fit_goes_on(robot_model_dir, recording, tmp_path, monkeypatch):
     """Ctrl-C keeps the last step, and the same command starts from it; another one does not."""
     folder = tmp_path / "robot_model"
