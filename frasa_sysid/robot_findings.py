@@ -10,7 +10,7 @@ import numpy as np
 from frasa_sysid.finding import Finding, Verdict
 from frasa_sysid.recording import Recording
 from frasa_sysid.robot_fit import RECORD
-from frasa_sysid.robot_rig import is_robot
+from frasa_sysid.robot_rig import SLOWEST, is_robot
 
 _SLOW = 0.015  # [s] between samples, beyond which a delay of milliseconds is seen badly
 _QUICK = 1.0  # [rad/s] of a goal or joint
@@ -20,9 +20,12 @@ _TURNS = 0.2  # [rad/s] root mean square rate of a trunk that tells the age of i
 
 def robot_findings(recordings: Sequence[Recording]) -> list[Finding]:
     """All verdicts for the recordings of one robot, most needed first; none without a recording of a robot."""
-    robots = [one for one in recordings if is_robot(one)]
+    every = [one for one in recordings if is_robot(one)]
+    robots = [one for one in every if _period(one, "position") <= SLOWEST]
     if not robots:
-        return []
+        reason = "positions every {:.0f} ms; no servo's motion is seen at that rate"
+        slow = min((_period(one, "position") for one in every), default=0.0)
+        return [Finding("anything", "no", reason.format(slow * 1e3), "joints at 50 Hz or more")] if every else []
     return [_command(robots), _velocity(robots), *_imu(robots), _zeros(robots), _scales(robots), _trunk(robots)]
 
 
@@ -67,7 +70,7 @@ def _of_imu(robots: Sequence[Recording], channel: str, name: str) -> Finding:
     said = all(one.rig.base for one in free)
     verdict: Verdict = "yes" if rate >= _TURNS and said else "weak"
     reason = f"the trunk turns at {rate:.2f} rad/s (root mean square)"
-    reason += "" if said else "; a log does not say whether it was held: give --base"
+    reason += "" if said else "; a log does not say whether it was held"
     return Finding(name, verdict, reason, "" if verdict == "yes" else record)
 
 
@@ -75,7 +78,7 @@ def _zeros(robots: Sequence[Recording]) -> Finding:
     on_ground = any(one.rig.base == "floating" and "orientation" in one.signals for one in robots)
     if on_ground:
         return Finding("joint zeros", "yes", "the robot stood, with its tilt measured")
-    reason = "gravity hardly turns yaw joints and feet of a robot that is held"
+    reason = "gravity hardly turns yaw joints and feet of a robot that is held" + _held_or_unsaid(robots)
     return Finding("joint zeros", "weak", reason, RECORD["zero"])
 
 
@@ -92,7 +95,11 @@ def _trunk(robots: Sequence[Recording]) -> Finding:
     name = "mass and centre of the trunk (--free trunk)"
     if any(one.rig.base == "floating" for one in robots):
         return Finding(name, "yes", "the robot stood on the ground")
-    return Finding(name, "no", "a held trunk weighs nothing", RECORD["mass_scale"])
+    return Finding(name, "no", f"a held trunk weighs nothing{_held_or_unsaid(robots)}", RECORD["mass_scale"])
+
+
+def _held_or_unsaid(robots: Sequence[Recording]) -> str:
+    return "" if all(one.rig.base for one in robots) else "; a log does not say whether it was"
 
 
 def _alike(robots: Sequence[Recording]) -> list[Recording]:

@@ -20,7 +20,7 @@ Base = Literal["fixed", "floating"]
 IntArray = npt.NDArray[np.int64]
 _NEIGHBOURS = 4  # samples on either side that share out the noise of one, for a state to start from
 _LONGEST_GAP = 0.5  # [s] without a position; beyond it a log is of two recordings
-_FASTEST = 0.05  # [s] median between positions beyond which a motion of a servo is not seen
+SLOWEST = 0.05  # [s] median between positions beyond which a motion of a servo is not seen
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def _check_times(recording: Recording, position: Signal) -> None:
     gaps = np.diff(position.t)
     if gaps.size < 2 * _NEIGHBOURS:
         raise LogError(f"{recording.name}: {position.t.size} positions; expected seconds of them")
-    if np.median(gaps) > _FASTEST:
+    if np.median(gaps) > SLOWEST:
         raise LogError(
             f"{recording.name}: positions every {np.median(gaps) * 1e3:.0f} ms; no servo's motion is seen at that "
             "rate: record at 50 Hz or more"

@@ -301,11 +301,14 @@ def test_inspect_says_what_a_robots_log_can_tell(place, capsys, tmp_path, held):
     silent = {name: one for name, one in held.signals.items() if name != "velocity"}
     write_mcap(tmp_path / "silent.mcap", [replace(held, signals=silent)])
     said = {}
-    for path in (tmp_path / "silent.mcap", place[0].parent / "ground.mcap"):
+    slow = {name: Signal(one.name, one.unit, one.t[::20], one.y[::20], one.columns) for name, one in silent.items()}
+    write_mcap(tmp_path / "slow.mcap", [replace(held, signals=slow)])
+    for path in (tmp_path / "silent.mcap", tmp_path / "slow.mcap", place[0].parent / "ground.mcap"):
         assert run_command(build_parser(), ["inspect", str(path), "--json"]) == 0
         data = json.loads(capsys.readouterr().out)
         assert {one["servo"] for one in data["identifiable"]} == {"robot"}
         said[path.stem] = {one["parameter"]: one for one in data["identifiable"]}
+    assert said["slow"]["anything"]["reason"] == "positions every 200 ms; no servo's motion is seen at that rate"
     assert said["silent"]["delay of the gyro"]["verdict"] == "no"
     assert said["silent"]["delay of the gyro"]["record"] == RECORD["sensor.gyro_delay"]
     assert said["silent"]["delay of velocities"]["record"] == RECORD["sensor.velocity_delay"]
