@@ -217,10 +217,11 @@ def _extras(
     facts = log_facts(recordings)
     if result.stop is Stop.INTERRUPTED:
         return Extras(bench.origin, choice, from_logs=facts)
-    readout = separate(recordings, args.duty_age)
     delays = [one for one in result.evidence.estimates if one.name == f"{bench.servo.name}.delay"]
+    # Where no delay is fitted (a known force) there is none to say anything about.
+    readout = separate(recordings, args.duty_age) if delays else None
     step = session.options.timestep
-    doubt = "".join(disagreement(readout, (one.low, one.high), step) for one in delays)
+    doubt = "".join(disagreement(readout, (one.low, one.high), step) for one in delays if readout is not None)
     resampled = None
     if args.bootstrap:
         tell(f"fitting {args.bootstrap} resampled sets of logs", result.evaluations, result.solved.cost)
