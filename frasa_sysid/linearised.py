@@ -64,7 +64,7 @@ def linearise(problem: FitProblem, kernel: BenchKernel, x: FloatArray, covarianc
     """
     rng = np.random.default_rng((problem.seed, 17))
     points = np.clip(x + ensemble(covariance, rng), 0.0, 1.0)
-    rows = np.nan_to_num(kernel.readings(problem.candidates(points), problem.offsets(points, kernel.runs)))
+    rows = _completed(kernel.readings(problem.candidates(points), problem.offsets(points, kernel.runs)))
     mean, slopes = regression(points - x, rows)
     parts = [np.nan_to_num(part) for part in residuals(problem.train, kernel.split(mean))]
     jacobians = without_starts(problem, kernel, x, [np.array(J.T) for J in _split(kernel, slopes)])
@@ -73,6 +73,15 @@ def linearise(problem: FitProblem, kernel: BenchKernel, x: FloatArray, covarianc
         [_gradient(part, jacobian) for part, jacobian in zip(parts, jacobians, strict=True)],
         _residual_spread(problem.train, parts, jacobians),
     )
+
+
+def _completed(rows: FloatArray) -> FloatArray:
+    """Readings (k, T) with those of simulations that diverged replaced by the others' mean."""
+    sound = np.isfinite(rows)
+    if sound.all():
+        return rows
+    mean = np.where(sound, rows, 0.0).sum(axis=0) / np.maximum(sound.sum(axis=0), 1)
+    return np.asarray(np.where(sound, rows, mean))
 
 
 def _split(kernel: BenchKernel, slopes: FloatArray) -> list[FloatArray]:

@@ -103,3 +103,13 @@ def test_restarts_agree_on_a_bench_that_sticks(kit, recordings):
     solved = solve(problem, kit.session, budget=200, restarts=3)
     costs = [one.cost for one in solved.restarts]
     assert max(costs) < 1.001 * min(costs)
+
+
+def test_a_perfect_fit_has_nothing_to_settle():
+    """No cost, and a number without any effect: the point stays, and nothing divides by zero."""
+    perfect = Rough(0.0)
+    perfect.noise = 0.0 * perfect.noise
+    perfect.directions[:, 1] = 0.0
+    found = settle(perfect, perfect, FLOOR, 0)
+    assert found.cost == pytest.approx(0.0, abs=1e-12)
+    assert found.x[[0, 2]] == pytest.approx(FLOOR[[0, 2]], abs=1e-6)
