@@ -66,7 +66,7 @@ def settle(problem: FitProblem, kernel: BenchKernel, x: FloatArray, seed: int) -
         points = np.clip(points, 0.0, 1.0)
         rows = rooted(points)
         mean, J = regression(points - x, rows)
-        pinned = max(damping / _WIDEST**2, 1e-12 * float(np.trace(J @ J.T)), 1e-300)
+        pinned = max(damping / _WIDEST**2, 1e-15 * float(np.trace(J @ J.T)), 1e-300)
         trials = _trials(x, J @ J.T + pinned * np.eye(x.size), J @ mean)
         met, costs = np.vstack([points, trials]), np.vstack([rows, rooted(trials)])
         squares = np.einsum("kt,kt->k", costs, costs)
@@ -86,7 +86,7 @@ def settle(problem: FitProblem, kernel: BenchKernel, x: FloatArray, seed: int) -
 def spread_at(curvature: FloatArray, damping: float) -> FloatArray:
     """Covariance of an ensemble, (n, n), from the curvature of that shape and lambda of the cost."""
     # A perfect fit has no cost to share in: then nobody moves further than rounding asks for.
-    least = max(_NARROWEST**2 * float(np.trace(curvature)), 1e-300)
+    least = max(1e-18 * float(np.trace(curvature)), 1e-300)
     return np.asarray(np.linalg.inv(curvature / max(damping, least) + np.eye(len(curvature)) / _WIDEST**2))
 
 
