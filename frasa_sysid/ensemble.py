@@ -59,7 +59,7 @@ def settle(problem: FitProblem, kernel: BenchKernel, x: FloatArray, seed: int) -
         return kernel.rooted(problem.candidates(points), problem.offsets(points, kernel.runs))
 
     base, J = differences(rooted, x)
-    best = (float(base @ base), x)
+    best = (float(base @ base), x, base)
     for share in SHARES:
         damping = share * float(base @ base) / x.size
         points = x + ensemble(spread_at(J @ J.T, damping), rng)
@@ -72,12 +72,10 @@ def settle(problem: FitProblem, kernel: BenchKernel, x: FloatArray, seed: int) -
         squares = np.einsum("kt,kt->k", costs, costs)
         lowest = int(np.argmin(squares))
         if squares[lowest] < best[0]:
-            best = (float(squares[lowest]), met[lowest])
+            best = (float(squares[lowest]), met[lowest], costs[lowest])
         # A step may climb out of a pit, by no more than the ensemble did; else on from the best.
         after = len(points) + int(np.argmin(squares[len(points) :]))
-        x, base = (met[after], costs[after]) if squares[after] < (1.0 + share) * best[0] else (best[1], base)
-        if x is best[1]:
-            base = rooted(x[None])[0]
+        x, base = (met[after], costs[after]) if squares[after] < (1.0 + share) * best[0] else best[1:]
     pair = np.array([best[1]])
     cost = float(kernel.costs(problem.candidates(pair), problem.offsets(pair, kernel.runs))[0])
     return Finished(best[1], cost, used + 1, True)

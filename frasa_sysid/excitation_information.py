@@ -19,8 +19,8 @@ from mujoco import rollout
 
 from frasa_sysid.calibration import actuators_of, dofs_of
 from frasa_sysid.excitation import PERIOD, Excitation
-from frasa_sysid.excitation_trial import held_model, order_of
-from frasa_sysid.robot_body import Joints
+from frasa_sysid.excitation_trial import order_of
+from frasa_sysid.robot_body import Joints, bare
 
 FloatArray = npt.NDArray[np.float64]
 POSITION_NOISE = 0.0015  # [rad] a typical residual of fitted servo logs
@@ -83,8 +83,7 @@ def information(
     """
     names = parameters_of_held(joints)
     varied = [name for name in names if name != "sensor.velocity_delay"]
-    # Without sensors and command history, which only make the state larger.
-    model = held_model(path, plain=True)
+    model = bare(path, held=True)
     cases = [_case(model, joints, excitation, name) for name in ["", *varied]]
     readings = []
     for i in range(0, len(cases), BATCH):

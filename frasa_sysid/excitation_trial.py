@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from frasa_sysid.excitation import Excitation
-from frasa_sysid.robot_body import Joints, hold
+from frasa_sysid.robot_body import Joints, bare
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -39,27 +39,6 @@ class Trial:
     apart: FloatArray
 
 
-def held_model(path: Path, plain: bool = False) -> Any:  # noqa: ANN401 (mujoco's own type)
-    """The model of a file with its servos, its trunk fixed in the air and no floor.
-
-    Args:
-        path: the model.
-        plain: without sensors and command delays.
-    """
-    spec = mujoco.MjSpec.from_file(str(path))
-    if plain:
-        for sensor in list(spec.sensors):
-            spec.delete(sensor)
-        for actuator in spec.actuators:
-            actuator.delay, actuator.nsample = 0.0, 0
-    for key in list(spec.keys):
-        spec.delete(key)
-    for joint in list(spec.joints):
-        if joint.type == mujoco.mjtJoint.mjJNT_FREE:
-            hold(spec, joint.parent, (1.0, 0.0, 0.0, 0.0))
-    return spec.compile()
-
-
 def order_of(model: Any, joints: Joints) -> tuple[IntArray, IntArray, IntArray]:  # noqa: ANN401
     """Actuator, qpos and dof of each joint, in the joints' order, each of shape (n,)."""
     wanted = [model.joint(name).id for name in joints.names]
@@ -70,7 +49,7 @@ def order_of(model: Any, joints: Joints) -> tuple[IntArray, IntArray, IntArray]:
 
 def try_out(path: Path, joints: Joints, excitation: Excitation) -> Trial:
     """Run an excitation on the nominal robot."""
-    model = held_model(path)
+    model = bare(path, held=True, plain=False)
     # Near is taken for touching, without a force: the robot that records is not quite the nominal one.
     model.geom_gap[:] = CLEARANCE
     actuators, qpos, dof = order_of(model, joints)

@@ -145,17 +145,17 @@ def separate(recordings: Sequence[Recording], duty_age: float | None = None) -> 
     bus_age = _bus_age(recordings)
     usable = [one for one in recordings if _has_loop(one)]
     if not usable:
-        return _sum_only(NO_DUTY, bus_age=bus_age)
+        return _sum_only(NO_DUTY, bus_age)
     most = max(float(np.abs(one.signals["duty"].y).max()) for one in usable)
     if most > FULL:
-        return _sum_only(f"the duty reaches {most:.4g}, expected -1 to 1", bus_age=bus_age)
+        return _sum_only(f"the duty reaches {most:.4g}, expected -1 to 1", bus_age)
     pieces = pieces_of(usable, _GOAL_LAGS, _POSITION_LAGS)
     if not pieces:
-        return _sum_only("the duty is too short, still or saturated throughout", bus_age=bus_age)
+        return _sum_only("the duty is too short, still or saturated throughout", bus_age)
     lags = Lags(pieces, _spaced(_GOAL_LAGS), _spaced(_POSITION_LAGS))
     if lags.explained < _FOLLOWS:
         reason = f"the duty is no gain times the error (that explains {100 * lags.explained:.0f} % of it)"
-        return _sum_only(reason, explained=lags.explained, bus_age=bus_age)
+        return _sum_only(reason, bus_age, lags.explained)
     for _ in range(_ROUNDS):
         lags.reweigh(*lags.best)
     goal, position = (_closer(one) for one in lags.accepted())
@@ -163,8 +163,10 @@ def separate(recordings: Sequence[Recording], duty_age: float | None = None) -> 
     return _told(Lags(pieces, goal, position, lags.weights), len(pieces), duty_age, bus_age)
 
 
-def _sum_only(reason: str, **known: float | None) -> Readout:
-    return Readout("sum only", reason, **known)  # type: ignore[arg-type]
+def _sum_only(
+    reason: str, bus_age: float | None, explained: float | None = None, loop_gain: float | None = None
+) -> Readout:
+    return Readout("sum only", reason, loop_gain=loop_gain, explained=explained, bus_age=bus_age)
 
 
 def _told(lags: Lags, pieces: int, duty_age: float | None, bus_age: float | None) -> Readout:
@@ -179,7 +181,7 @@ def _told(lags: Lags, pieces: int, duty_age: float | None, bus_age: float | None
     loop_gain = float(lags.gain[j, k])
     if np.ptp(position) > _KNOWN:
         reason = f"the motion is too slow for the duty, which tells {_ms(float(position.min()), float(position.max()))}"
-        return _sum_only(reason, loop_gain=loop_gain, explained=lags.explained, bus_age=bus_age)
+        return _sum_only(reason, bus_age, lags.explained, loop_gain)
     return Readout(
         SEPARATED,
         f"the duty is a gain times the error, in {pieces} pieces of runs",

@@ -151,6 +151,26 @@ def hold(spec: Any, trunk: Any, orientation: Sequence[float]) -> None:  # noqa: 
         spec.delete(geom)
 
 
+def bare(path: Path, held: bool, plain: bool = True) -> Any:  # noqa: ANN401
+    """The compiled model of a file without key frames.
+
+    Args:
+        path: the model.
+        held: with its trunk fixed in the air and no floor, if it has a free joint.
+        plain: without sensors and command delays, which only make the state larger.
+    """
+    spec = mujoco.MjSpec.from_file(str(path))
+    for one in [*spec.keys, *(spec.sensors if plain else ())]:
+        spec.delete(one)
+    if plain:
+        for actuator in spec.actuators:
+            actuator.delay, actuator.nsample = 0.0, 0
+    if held:
+        for joint in [one for one in spec.joints if one.type == mujoco.mjtJoint.mjJNT_FREE]:
+            hold(spec, joint.parent, (1.0, 0.0, 0.0, 0.0))
+    return spec.compile()
+
+
 def tilt_quaternion(roll: float, pitch: float) -> tuple[float, float, float, float]:
     """Rotation about x, then about the world's y [rad] -> (w, x, y, z)."""
     cr, sr, cp, sp = math.cos(roll / 2), math.sin(roll / 2), math.cos(pitch / 2), math.sin(pitch / 2)

@@ -1,24 +1,19 @@
 """What a whole-robot fit changes, and how it is written into a model: zeros, scales, the trunk.
 
-A joint's zero z [rad] is what its encoder says too much: measured = true + z. The servo closes its loop
-on what it measures, so a model whose angle is the measured one needs only its geometry turned back by z.
+Zeros and trunk are written as published models have them (`calibration.bodies`), scales as `robot_numbers` says.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import mujoco
-import numpy as np
 
-from frasa_sysid.calibration import actuators_of, dofs_of, number, read, servo_classes, servo_law
+from frasa_sysid.calibration import actuators_of, bodies, dofs_of, number, read, servo_classes, servo_law, trunk_of
 from frasa_sysid.calibration.apply import PRESENT_SUPPLY
-from frasa_sysid.recording import FloatArray
-from frasa_sysid.robot_rig import actuated_joints
+from frasa_sysid.calibration.parameters import LAW_COEFFICIENTS
+from frasa_sysid.robot_numbers import SCALES
 
-_TORQUES = (
-    "coulomb", "stribeck", "load_motor", "load_external", "load_motor_stribeck", "load_external_stribeck",
-    "quad_motor", "quad_external",
-)  # fmt: skip
+_TORQUES = tuple(LAW_COEFFICIENTS[name] for name in SCALES["friction_scale"])
 
 
 @dataclass(frozen=True)
@@ -73,19 +68,17 @@ class Writer:
 
     Args:
         model: the robot with frozen fits applied; never changed.
-        trunk: its root body.
 
     Attributes:
         servos: indices of the actuators of each servo class.
     """
 
-    def __init__(self, model: mujoco.MjModel, trunk: int) -> None:
-        self._model, self._trunk = model, trunk
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model, self._trunk = model, trunk_of(model)
         self._scratch = mujoco.MjData(model)
         self.servos = {servo: actuators_of(model, servo) for servo in servo_classes(model)}
         self._dofs = {servo: dofs_of(model, actuators) for servo, actuators in self.servos.items()}
         self._laws = {servo: servo_law.law(model, servo) for servo in self.servos}
-        self._joints = dict(zip(actuated_joints(model), model.actuator_trnid[:, 0], strict=True))
         self.stated_supply = number(model, "servo_supply_voltage")
         self._held_supply = _supply_of(model)
         self.stated_gain = number(model, "servo_firmware_gain")
@@ -95,10 +88,9 @@ class Writer:
         original = self._model
         volts = supply / self._held_supply
         firmware = (firmware_gain or self.stated_gain) / self.stated_gain
-        model.body_quat[:] = original.body_quat
+        model.qpos0[:] = original.qpos0
         for name, zero in one.zeros.items():
-            if zero:
-                self._turn(model, int(self._joints[name]), -zero)
+            bodies.set_zero(model, name, bodies.zero_of(original, name) + zero)
         for servo, actuators in self.servos.items():
             scale = one.gain.get(servo, 1.0) * volts
             gain = original.actuator_gainprm[actuators, 0] * scale * firmware
@@ -108,15 +100,6 @@ class Writer:
             self._write_friction(model, servo, one.damping.get(servo, 1.0), one.friction.get(servo, 1.0))
         self._write_trunk(model, one)
         mujoco.mj_setConst(model, self._scratch)
-
-    def _turn(self, model: mujoco.MjModel, joint: int, angle: float) -> None:
-        """Turn a joint's body about the joint's own axis."""
-        turn = np.zeros(4)
-        mujoco.mju_axisAngle2Quat(turn, self._model.jnt_axis[joint], angle)
-        body = self._model.jnt_bodyid[joint]
-        turned: FloatArray = np.zeros(4)
-        mujoco.mju_mulQuat(turned, self._model.body_quat[body], turn)
-        model.body_quat[body] = turned
 
     def _write_friction(self, model: mujoco.MjModel, servo: str, damping: float, friction: float) -> None:
         dofs, law = self._dofs[servo], self._laws[servo]
@@ -128,10 +111,14 @@ class Writer:
 
     def _write_trunk(self, model: mujoco.MjModel, one: Candidate) -> None:
         body, original = self._trunk, self._model
-        mass = original.body_mass[body] if one.trunk_mass is None else one.trunk_mass
-        model.body_mass[body] = mass
-        model.body_inertia[body] = original.body_inertia[body] * mass / original.body_mass[body]
-        model.body_ipos[body] = original.body_ipos[body] + np.array(one.trunk_shift)
+        for name in ("body_mass", "body_inertia", "body_ipos"):
+            getattr(model, name)[body] = getattr(original, name)[body]
+        if one.trunk_mass is not None:
+            bodies.set_trunk(model, body, "mass", one.trunk_mass)
+        for axis, shift in zip("xyz", one.trunk_shift, strict=True):
+            if shift:
+                field = f"com_{axis}"
+                bodies.set_trunk(model, body, field, bodies.trunk_number(original, body, field) + shift)
 
 
 def _supply_of(model: mujoco.MjModel) -> float:

@@ -73,6 +73,10 @@ class Comparison:
         self._address = simulator.model.jnt_qposadr[simulator.model.actuator_trnid[:, 0]]
         dof = simulator.model.jnt_dofadr[simulator.model.actuator_trnid[:, 0]]
         self._speed = simulator.model.nq + dof
+        root = int(simulator.model.body_jntadr[simulator.trunk])
+        if simulator.base == "floating":
+            self._turn = simulator.model.jnt_qposadr[root] + np.arange(3, 7)
+            self._rate = simulator.model.nq + simulator.model.jnt_dofadr[root] + np.arange(3, 6)
         self._windows = [self._window(piece) for piece in self.pieces]
         self._sizes = [sum(rows.size * width for _, rows, width in window) for window in self._windows]
         self.layout = self._lay_out()
@@ -158,12 +162,10 @@ class Comparison:
         return np.nan_to_num(np.concatenate(parts), nan=DIVERGED)
 
     def _reading(self, name: str, states: FloatArray, times: FloatArray, channel: Channel) -> FloatArray:
-        columns = {
-            "position": self._address[channel.joints],
-            "velocity": self._speed[channel.joints],
-            "gyro": self.simulator.model.nq + np.arange(3, 6),
-            "orientation": np.arange(3, 7),
-        }[name]
+        if channel.joints.size:
+            columns = (self._address if name == "position" else self._speed)[channel.joints]
+        else:
+            columns = self._rate if name == "gyro" else self._turn
         # Speeds are half a step older than the angles beside them (semi-implicit Euler).
         grid = times / self.simulator.timestep + (0.5 if name in ("velocity", "gyro") else 0.0)
         low = np.clip(np.floor(grid).astype(int), 0, len(states) - 2)

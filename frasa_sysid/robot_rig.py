@@ -165,11 +165,17 @@ def _channel(recording: Recording, name: str, joints: tuple[str, ...], start: fl
     if signal is None or not signal.columns:
         return None
     if name in ("gyro", "orientation"):
-        bias = _gyro_bias(recording) if name == "gyro" else 0.0
-        return Channel(signal.t - start, signal.y - bias, np.zeros(0, np.int64))
+        y = signal.y - _gyro_bias(recording) if name == "gyro" else _continuous(signal.y)
+        return Channel(signal.t - start, y, np.zeros(0, np.int64))
     known = [joint for joint in joints if joint in signal.columns]
     places = [signal.columns.index(joint) for joint in known]
     return Channel(signal.t - start, signal.y[:, places], np.array([joints.index(joint) for joint in known], np.int64))
+
+
+def _continuous(quaternions: FloatArray) -> FloatArray:
+    """The same orientations without jumps to the other of the two quaternions that mean each, shape (T, 4)."""
+    turns = np.where(np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0.0, -1.0, 1.0)
+    return np.asarray(quaternions * np.cumprod(np.concatenate([[1.0], turns]))[:, None])
 
 
 def _gyro_bias(recording: Recording) -> FloatArray:

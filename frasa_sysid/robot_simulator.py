@@ -8,21 +8,20 @@ stay small; delays here are physical, those of the model differ by half a step (
 
 import copy
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 import mujoco
 import numpy as np
 from mujoco import rollout
 
-from frasa_sysid.calibration import load_model, servo_law
+from frasa_sysid.calibration import load_model, trunk_of
 from frasa_sysid.errors import LogError
 from frasa_sysid.recording import FloatArray
-from frasa_sysid.robot_body import hold
+from frasa_sysid.robot_body import bare
 from frasa_sysid.robot_candidate import Candidate, Writer
 from frasa_sysid.robot_rig import Base, RobotRun
 from frasa_sysid.robot_start import gravity_of, start_states
@@ -83,8 +82,8 @@ class RobotSimulator:
     def __init__(self, model_path: Path, base: Base, threads: int | None = None) -> None:
         self.base = base
         self.model = bare_model(model_path, base)
-        self.trunk = 1 if base == "fixed" else int(self.model.jnt_bodyid[_free_joint(self.model)])
-        self.writer = Writer(self.model, self.trunk)
+        self.trunk = trunk_of(self.model)
+        self.writer = Writer(self.model)
         count = threads or len(os.sched_getaffinity(0))
         self._data = [mujoco.MjData(self.model) for _ in range(count)]
         self._rollout = rollout.Rollout(nthread=count)
@@ -117,17 +116,19 @@ class RobotSimulator:
             Candidate, piece, and states (steps + 1, nq + nv), the start first; NaN once it diverged.
         """
         starts = [start_states(self.model, self.trunk, piece.run, piece.first, ages.ages) for piece in pieces]
+        gravities = {piece.run.name: gravity_of(piece.run, self.model) for piece in pieces}
         pairs = [(c, p) for c in range(len(candidates)) for p in range(len(pieces))]
         pairs.sort(key=lambda pair: pieces[pair[1]].end - pieces[pair[1]].first)
         for i in range(0, len(pairs), _JOBS):
             batch = pairs[i : i + _JOBS]
-            yield from self._batch(pieces, candidates, starts, batch)
+            yield from self._batch(pieces, candidates, starts, gravities, batch)
 
     def _batch(
         self,
         pieces: Sequence[Piece],
         candidates: Sequence[Candidate],
         starts: Sequence[FloatArray],
+        gravities: Mapping[str, FloatArray],
         batch: Sequence[tuple[int, int]],
     ) -> Iterator[tuple[int, int, FloatArray]]:
         steps = max(pieces[p].end - pieces[p].first for _, p in batch)
@@ -139,7 +140,9 @@ class RobotSimulator:
                 # The torque of a step makes the speed of its middle, so it acts half a step early.
                 late = delay / self.timestep + 0.5
                 row[:, actuators] = delayed(piece.run.goal[:, actuators], piece.first, steps, late)
-            self._configure(model, piece, one)
+            supply = float(piece.run.supply[piece.first : piece.end + 1].mean())
+            self.writer.write(model, one, supply, piece.run.firmware_gain)
+            model.opt.gravity[:] = gravities[piece.run.name]
         state = np.zeros((len(batch), mujoco.mj_stateSize(self.model, _STATE)))
         for row, (_, p) in zip(state, batch, strict=True):
             row[1 : 1 + starts[p].size] = starts[p]
@@ -153,12 +156,6 @@ class RobotSimulator:
             whole[np.abs(whole[:, 0] - expected) > 0.5 * self.timestep] = np.nan
             yield c, p, whole[:, 1:]
 
-    def _configure(self, model: mujoco.MjModel, piece: Piece, one: Candidate) -> None:
-        supply = float(piece.run.supply[piece.first : piece.end + 1].mean())
-        self.writer.write(model, one, supply, piece.run.firmware_gain)
-        if self.base == "fixed":
-            model.opt.gravity[:] = gravity_of(piece.run, self.model)
-
 
 def delayed(goal: FloatArray, first: int, steps: int, late: float) -> FloatArray:
     """Commands that act from step `first` on, `late` steps after they were given, shape (steps, J)."""
@@ -170,24 +167,6 @@ def delayed(goal: FloatArray, first: int, steps: int, late: float) -> FloatArray
 
 
 def bare_model(path: Path, base: Base) -> mujoco.MjModel:
-    """The robot without sensors, history and key frames; with a fixed base also without free joint and floor."""
+    """The robot as it is simulated here, friction laws on; see `robot_body.bare`."""
     load_model(path)  # one clear line for what cannot be compiled; installs the friction law
-    spec = mujoco.MjSpec.from_file(str(path))
-    for one in [*spec.keys, *spec.sensors]:
-        spec.delete(one)
-    for actuator in spec.actuators:
-        actuator.delay, actuator.nsample = 0.0, 0
-    if base == "fixed":
-        hold(spec, next(body for body in spec.bodies if _is_free(body)), (1.0, 0.0, 0.0, 0.0))
-    model = spec.compile()
-    if servo_law.has_law(model):
-        servo_law.install()
-    return model
-
-
-def _is_free(body: Any) -> bool:  # noqa: ANN401 (mujoco's own type)
-    return any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
-
-
-def _free_joint(model: mujoco.MjModel) -> int:
-    return int(np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)[0])
+    return bare(path, held=base == "fixed")

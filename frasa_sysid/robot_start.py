@@ -40,22 +40,17 @@ def start_states(model: mujoco.MjModel, trunk: int, run: RobotRun, first: int, a
 
 
 def gravity_of(run: RobotRun, model: mujoco.MjModel) -> FloatArray:
-    """Gravity in the frame of a trunk that is held [m/s^2], from the mean orientation, shape (3,).
+    """Gravity in the model's world [m/s^2], shape (3,): of a trunk that is held, from its mean orientation.
 
-    Without an orientation in the log the trunk counts as upright.
+    A held trunk stands upright in its model, so it is the world that is tilted. Without an orientation in the log
+    the trunk counts as upright.
     """
-    size = float(np.linalg.norm(model.opt.gravity))
-    if "orientation" not in run.channels:
-        return np.array([0.0, 0.0, -size])
-    down = np.mean([_rotate_back(q, np.array([0.0, 0.0, -1.0])) for q in run.channels["orientation"].y[::10]], axis=0)
-    return np.asarray(size * down / np.linalg.norm(down))
-
-
-def _rotate_back(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
-    inverse, result = np.zeros(4), np.zeros(3)
-    mujoco.mju_negQuat(inverse, quaternion / np.linalg.norm(quaternion))
-    mujoco.mju_rotVecQuat(result, vector, inverse)
-    return result
+    if run.base == "floating" or "orientation" not in run.channels:
+        return np.array(model.opt.gravity)
+    w, x, y, z = run.channels["orientation"].y.T
+    # The third row of the rotation: the world's vertical as the trunk sees it.
+    up = np.array([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z]).mean(axis=1)
+    return np.asarray(-up / np.linalg.norm(up) * np.linalg.norm(model.opt.gravity))
 
 
 def _place_trunk(

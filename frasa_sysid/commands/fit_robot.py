@@ -161,7 +161,8 @@ def _fit(
                 keep,
             )
         except KeyboardInterrupt:
-            kept = f"its last step is in {partial}, the same command goes on" if partial.exists() else "nothing to keep"
+            begun = _resumed(partial, identity) is not None
+            kept = f"its last step is in {partial}, the same command goes on" if begun else "no step was done yet"
             raise InterruptedRunError(f"interrupted; {kept}") from None
 
 

@@ -1,7 +1,7 @@
 """A pendulum bench that shares no code with frasa: 0.1 ms steps, M1 friction as a clip, and all the faults of a log."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +9,15 @@ import numpy.typing as npt
 import pytest
 
 from frasa_sysid.bench_session import BenchSession
+from frasa_sysid.excitation_hung import design, first_sizes
 from frasa_sysid.problem import FitProblem, state_problem, stated_servo
 from frasa_sysid.recording import Recording, RigFacts, Signal
 from frasa_sysid.rig import BenchRun, runs_of
+from frasa_sysid.robot_body import joints_of
+from frasa_sysid.robot_truth import draw
 from frasa_sysid.rollout import BenchSimulator
 from frasa_sysid.servo import Servo
+from frasa_sysid.simulate_robot import simulate_robot
 
 Floats = npt.NDArray[np.float64]
 COUNT = 2 * np.pi / 4096
@@ -174,3 +178,15 @@ def kit(robot_model_dir: Path) -> Iterator[BenchKit]:
 def recordings() -> list[Recording]:
     """Seven noisy runs of one servo that is not the nominal one."""
     return [measured(plan, f"run{i}") for i, plan in enumerate(PLANS)]
+
+
+@pytest.fixture(scope="session")
+def held_robot(robot_model_dir: Path) -> Callable[[float, str], Recording]:
+    """A maker of logs [s] of one held virtual robot without zeros, small motions as its computer records them."""
+    path = robot_model_dir / "nominal.xml"
+    joints = joints_of(path)
+    truth = replace(draw("fixed", 5, joints.classes, joints.names), zeros=None)
+    sizes = first_sizes(joints)
+    small = replace(sizes, quick=sizes.quick / 3, swing=sizes.swing / 3, step=sizes.step / 3)
+    goals = design(joints, small, 10.0)
+    return lambda seconds, name: simulate_robot(path, joints, truth, goals, seconds, name, timestep=0.0005)

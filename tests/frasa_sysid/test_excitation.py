@@ -12,9 +12,9 @@ from frasa_sysid.excitation_hung import design, first_sizes
 from frasa_sysid.excitation_information import information
 from frasa_sysid.excitation_sizes import SPEED_SHARE, TORQUE_SHARE, fitted_sizes
 from frasa_sysid.excitation_standing import design as standing
-from frasa_sysid.excitation_trial import held_model, try_out
+from frasa_sysid.excitation_trial import try_out
 from frasa_sysid.readers import read_log
-from frasa_sysid.robot_body import build, joints_of
+from frasa_sysid.robot_body import bare, build, joints_of
 from frasa_sysid.robot_physics import simulate
 from frasa_sysid.robot_truth import draw
 
@@ -65,7 +65,7 @@ def test_limits_are_kept_on_the_nominal_model(path, joints, fitted):
     assert trial.torque.max() <= TORQUE_SHARE
     assert trial.speed.max() <= SPEED_SHARE
     excitation = design(joints, sizes, 10.0)
-    model = held_model(path)
+    model = bare(path, held=True, plain=False)
     data = mujoco.MjData(model)
     index = [joints.names.index(model.joint(int(j)).name) for j in model.actuator_trnid[:, 0]]
     data.qpos[model.jnt_qposadr[[model.joint(name).id for name in joints.names]]] = excitation.goals[0]

@@ -14,7 +14,6 @@ from frasa_sysid.calibration import apply, load_model, read, run_command
 from frasa_sysid.cli import build_parser
 from frasa_sysid.commands import fit_robot as command
 from frasa_sysid.errors import QualityError
-from frasa_sysid.excitation_hung import design, first_sizes
 from frasa_sysid.excitation_standing import design as standing
 from frasa_sysid.recording import Signal
 from frasa_sysid.robot_body import joints_of
@@ -33,14 +32,9 @@ SHARE = "0.4"
 
 
 @pytest.fixture(scope="module")
-def held(robot_model_dir):
+def held(held_robot):
     """Four and a half seconds of a held robot."""
-    path = robot_model_dir / "nominal.xml"
-    joints = joints_of(path)
-    truth = replace(draw("fixed", 5, joints.classes, joints.names), zeros=None)
-    sizes = first_sizes(joints)
-    small = replace(sizes, quick=sizes.quick / 3, swing=sizes.swing / 3, step=sizes.step / 3)
-    return simulate_robot(path, joints, truth, design(joints, small, 10.0), 4.5, "held.mcap", timestep=0.0005)
+    return held_robot(4.5, "held.mcap")
 
 
 @pytest.fixture(scope="module")

@@ -9,21 +9,18 @@ import numpy as np
 import pytest
 
 from frasa_sysid import stored_fit, stored_robot_fit
-from frasa_sysid.calibration import load_model, read, run_command, servo_law
+from frasa_sysid.calibration import load_model, read, run_command
 from frasa_sysid.cli import build_parser
 from frasa_sysid.errors import LogError, UsageError
-from frasa_sysid.excitation_hung import design, first_sizes
 from frasa_sysid.readers import read_log
 from frasa_sysid.recording import Signal
-from frasa_sysid.robot_body import joints_of
+from frasa_sysid.robot_body import bare
 from frasa_sysid.robot_candidate import Candidate, Writer
 from frasa_sysid.robot_fit import fit_robot, frozen_model, model_delays
 from frasa_sysid.robot_problem import state_robot_problem
 from frasa_sysid.robot_residuals import Comparison, tilt
 from frasa_sysid.robot_rig import robot_run
 from frasa_sysid.robot_simulator import RobotSimulator, bare_model, delayed, pieces_of
-from frasa_sysid.robot_truth import draw
-from frasa_sysid.simulate_robot import simulate_robot
 from frasa_sysid.writer import write_mcap
 
 GROUPS = ("delays", "gain", "damping", "friction")
@@ -40,14 +37,9 @@ def frozen(robot_model_dir, fits, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def recording(robot_model_dir):
+def recording(held_robot):
     """Eight seconds of a held robot with random truth but no zeros, as its computer records them."""
-    path = robot_model_dir / "nominal.xml"
-    joints = joints_of(path)
-    truth = replace(draw("fixed", 5, joints.classes, joints.names), zeros=None)
-    sizes = first_sizes(joints)
-    small = replace(sizes, quick=sizes.quick / 3, swing=sizes.swing / 3, step=sizes.step / 3)
-    return simulate_robot(path, joints, truth, design(joints, small, 10.0), 8.0, "robot.mcap", timestep=0.0005)
+    return held_robot(8.0, "robot.mcap")
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +85,7 @@ def test_commands_are_late_as_in_mujoco(robot_model_dir, frozen, recording):
         model = simulator.model
         supply = float(run.supply[piece.first : piece.end + 1].mean())
         spec_model = _with_history(frozen)
-        Writer(model, simulator.trunk).write(spec_model, one, supply, run.firmware_gain)
+        Writer(model).write(spec_model, one, supply, run.firmware_gain)
         spec_model.opt.gravity[:] = simulator._pool[0].opt.gravity
     spec_model.actuator_delay[:] = late
     data = mujoco.MjData(spec_model)
@@ -110,14 +102,7 @@ def test_commands_are_late_as_in_mujoco(robot_model_dir, frozen, recording):
 
 def _with_history(frozen):
     """The held robot as `bare_model` makes it, but with MuJoCo's own command history."""
-    from frasa_sysid.robot_body import hold
-
-    spec = mujoco.MjSpec.from_file(str(frozen))
-    for one in [*spec.keys, *spec.sensors]:
-        spec.delete(one)
-    hold(spec, spec.body("trunk"), (1.0, 0.0, 0.0, 0.0))
-    servo_law.install()
-    return spec.compile()
+    return bare(frozen, held=True, plain=False)
 
 
 def test_delayed_commands():
@@ -131,7 +116,7 @@ def test_delayed_commands():
 def test_a_zero_turns_geometry_only(robot_model_dir, frozen):
     """At a measured angle the feet are where those of a robot without zeros are at the true angle; nothing adds up."""
     model = bare_model(frozen, "fixed")
-    writer, copy = Writer(model, 1), bare_model(frozen, "fixed")
+    writer, copy = Writer(model), bare_model(frozen, "fixed")
     zeros = {"left_knee": 0.03, "left_hip_roll": -0.02, "right_elbow": 0.05}
     for _ in range(3):
         writer.write(copy, Candidate(zeros=zeros), 15.0, None)
@@ -146,14 +131,14 @@ def test_a_zero_turns_geometry_only(robot_model_dir, frozen):
     mujoco.mj_kinematics(copy, turned)
     assert turned.geom_xpos == pytest.approx(plain.geom_xpos, abs=1e-12)
     writer.write(copy, Candidate(), 15.0, None)
-    assert (copy.body_quat == model.body_quat).all()
+    assert (copy.qpos0 == model.qpos0).all()
     assert (copy.actuator_gainprm == model.actuator_gainprm).all()
 
 
 def test_scales_and_supply(frozen):
     """Gain and torque limit go with the supply and their scale, friction with its own, the trunk with its mass."""
     model = bare_model(frozen, "fixed")
-    copy, writer = bare_model(frozen, "fixed"), Writer(model, 1)
+    copy, writer = bare_model(frozen, "fixed"), Writer(model)
     one = Candidate(gain={"mx64": 1.1}, damping={"mx106": 0.9}, friction={"mx64": 2.0}, trunk_mass=4.0)
     writer.write(copy, one, 0.9 * writer.stated_supply, None)
     assert read(copy, "mx64.kp") == pytest.approx(1.1 * 0.9 * read(model, "mx64.kp"))
@@ -288,3 +273,14 @@ def test_an_interrupted_fit_goes_on(robot_model_dir, recording, tmp_path, monkey
     assert started[2] is None
     monkeypatch.setattr(command, "fit_robot", real)
     assert not (folder / "fits" / "robot.json").exists()
+
+
+def test_a_quaternion_and_its_negative_are_one_orientation(robot_model_dir, recording):
+    """An IMU that jumps to the other quaternion of the same orientation gives the same channel."""
+    model = load_model(robot_model_dir / "nominal.xml")
+    signal = recording.signals["orientation"]
+    signs = np.where(np.arange(signal.t.size) % 7 < 3, 1.0, -1.0)[:, None]
+    jumping = Signal(signal.name, signal.unit, signal.t, signal.y * signs, signal.columns)
+    plain = robot_run(recording, model).channels["orientation"].y
+    found = robot_run(replace(recording, signals={**recording.signals, "orientation": jumping}), model)
+    assert found.channels["orientation"].y == pytest.approx(plain, abs=1e-15)
