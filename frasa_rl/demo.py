@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     args.out.mkdir(parents=True, exist_ok=True)
     for servo in SERVOS:
         log = f"bench_logs/{servo}.mcap"
-        flags = ("--friction", "auto", "--effects", "none", "--publish")
+        flags = ("--friction", "auto", "--publish")
         demo.run(f"Choose the {servo}'s friction law, fit and publish", servo, "frasa-sysid", "fit", log, *flags)
     budget = ("--minutes", f"{args.minutes:g}")
     demo.run(

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from numba import njit
 
 from frasa_sysid import kernel as k
+from frasa_sysid.calibration import stepping
 from frasa_sysid.calibration.friction import FIELDS as FRICTION_FIELDS
 from frasa_sysid.calibration.friction import LOG2_LOG2_E
 from frasa_sysid.cost import robust_costs, rooted_residuals
@@ -50,7 +51,8 @@ class KernelOptions:
     Attributes:
         timestep: [s].
         creep: b of the friction constraint's reference acceleration [1/s].
-        implicit: share of a step by which damping looks ahead: 1 as MuJoCo does, 0.5 for second order.
+        implicit: share of a step by which damping looks ahead: 1 as MuJoCo does by default, 0.5 for second order
+            (trapezoidal stepping); friction then stops with the inertia of the step.
         early: share of a step by which a command acts before its time: a step's torque sets the speed of
             the step's middle. MuJoCo's own delay takes no account of it, so by default neither does this.
     """
@@ -76,8 +78,10 @@ def kernel_options(model: mujoco.MjModel, timestep: float | None = None) -> Kern
     wrong = []
     if options.integrator != mujoco.mjtIntegrator.mjINT_EULER:
         wrong.append("integrator is not Euler")
-    if options.disableflags:
-        wrong.append(f"disable flags {options.disableflags} are set")
+    trapezoidal = stepping.stepping_of(model) == stepping.TRAPEZOIDAL
+    others = options.disableflags & ~int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+    if others:
+        wrong.append(f"disable flags {others} are set")
     if options.noslip_iterations < 1:
         wrong.append("noslip_iterations is 0, expected at least 1")
     time_constant, _ = model.dof_solref[0]
@@ -91,7 +95,8 @@ def kernel_options(model: mujoco.MjModel, timestep: float | None = None) -> Kern
         # a step, and the trapezoidal rule for damping keeps the numbers from depending on the step.
         return KernelOptions(step, 1.0 / step, 0.5, 0.5)
     # MuJoCo keeps the time constant at two steps or more (refsafe).
-    return KernelOptions(step, 2.0 / (width * max(float(time_constant), 2.0 * step)))
+    creep = 2.0 / (width * max(float(time_constant), 2.0 * step))
+    return KernelOptions(step, creep, 0.5 if trapezoidal else 1.0)
 
 
 class BenchKernel:
@@ -268,7 +273,7 @@ def _fill_lanes(
             lane[k.KEPT], lane[k.SHIFT] = 1.0 - lane[k.PART], -zero * tracks
             lane[k.GOAL_STEP] = x.goal_speed * h if x.goal_speed < 0.1 * NO_LIMIT else np.inf
             lane[k.MASS] = rig.inertia + x.armature
-            lane[k.GRAVITY], lane[k.HOLD], lane[k.COULOMB] = -rig.gravity, creep * lane[k.MASS], x.frictionloss
+            lane[k.GRAVITY], lane[k.CREEP], lane[k.COULOMB] = -rig.gravity, creep, x.frictionloss
             lane[k.DAMPING_OFF], lane[k.BACK_ON] = x.damping_off, x.damping - x.damping_off
             lane[k.STRIBECK], lane[k.LOAD_M], lane[k.LOAD_E] = x.stribeck, x.load_motor, x.load_external
             lane[k.STATIC_M], lane[k.STATIC_E] = x.load_motor_stribeck, x.load_external_stribeck
@@ -276,7 +281,7 @@ def _fill_lanes(
             lane[k.FADE_SHIFT] = LOG2_LOG2_E - x.stribeck_exponent * np.log2(x.stribeck_speed)
             lane[k.SAG], lane[k.BACK_EMF] = x.sag / max(stall, 1e-9) ** 2, lane[k.BACK_ON]
             lane[k.FOLLOW], lane[k.BIAS], lane[k.STEEP] = x.follow, x.bias, 1.0 / _PUNCH_WIDTH
-            lane[k.IMPLICIT], lane[k.AHEAD] = ahead, early
+            lane[k.IMPLICIT], lane[k.SOLID], lane[k.AHEAD] = ahead, ahead if ahead < h else 0.0, early
             lane[k.DRAG] = x.drag
             lane[k.LAG] = x.loop_lag * tracks
             lane[k.PUNCH], lane[k.DEAD] = x.punch * tracks, x.dead_zone * tracks

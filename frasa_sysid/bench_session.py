@@ -10,6 +10,7 @@ from typing import Any
 
 from frasa_sysid.bench_kernel import BenchKernel, KernelOptions, kernel_options
 from frasa_sysid.calibration import load_model
+from frasa_sysid.calibration.stepping import EULER, TRAPEZOIDAL
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.rig import BenchRun
 from frasa_sysid.rollout import BenchSimulator
@@ -58,6 +59,11 @@ class BenchSession:
         self.__dict__.update(state)
         self.threads = 1
         self._pool = ThreadPoolExecutor(1)
+
+    @property
+    def stepping(self) -> str:
+        """How damping and friction are stepped, see `calibration.stepping`."""
+        return TRAPEZOIDAL if self.options.implicit < 1.0 else EULER
 
     @property
     def volt_scale(self) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 from frasa_sysid.calibration import LAW_FIELDS, read
 from frasa_sysid.calibration.friction import Friction
 from frasa_sysid.calibration.parameters import LAW_COEFFICIENTS, SERVO_FIELDS
+from frasa_sysid.calibration.stepping import TRAPEZOIDAL
 from frasa_sysid.errors import CalibrationError
 from frasa_sysid.model_mark import mark_of
 from frasa_sysid.robot_numbers import made, makes
@@ -71,6 +72,11 @@ class Claims:
         """Friction laws beyond Coulomb-viscous, by servo class."""
         return {one.servo: law for one in self.benches if (law := one.model_law) is not None}
 
+    @property
+    def trapezoidal(self) -> bool:
+        """Whether a model with these numbers has to step damping and friction to second order."""
+        return any(one.stepping == TRAPEZOIDAL for one in self.benches)
+
     def robot_values(self) -> dict[str, float]:
         """What the robot's fit says, by parameter name."""
         return {name: float(one["value"]) for name, one in (self.robot.published if self.robot else {}).items()}
@@ -93,6 +99,9 @@ def settle(fits: Sequence[StoredFit], robot: StoredRobotFit | None) -> Claims:
             if name in owners:
                 raise CalibrationError(f"two fits claim {name}: {owners[name].sha256[:12]} and {stored.sha256[:12]}")
             owners[name] = stored
+    if len({one.stepping for one in benches}) > 1:
+        each = ", ".join(f"{one.servo} {one.stepping}" for one in benches)
+        raise CalibrationError(f"the fits were made on benches that step differently ({each}); fit the older one again")
     if not owners and robot is None:
         raise CalibrationError("the fits hold no parameter of a model")
     if robot is None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from frasa_sysid.bench_kernel import BenchKernel
 from frasa_sysid.bench_session import BenchSession
+from frasa_sysid.calibration.stepping import EULER
 from frasa_sysid.cost import Misfit, misfit
 from frasa_sysid.evidence import ON_BOUND, Evidence, evidence, widened
 from frasa_sysid.problem import FitProblem, state_problem
@@ -45,6 +46,7 @@ class FitResult:
         seconds: wall clock.
         inputs: sha256 by source file.
         versions: of what the result depends on.
+        stepping: how the bench stepped, see `calibration.stepping`; a model with the numbers has to step so too.
     """
 
     problem: FitProblem
@@ -59,6 +61,7 @@ class FitResult:
     seconds: float
     inputs: dict[str, str]
     versions: dict[str, str] = field(default_factory=dict)
+    stepping: str = EULER
 
     @property
     def friction(self) -> str:
@@ -139,6 +142,7 @@ def fit(
         seconds=time.monotonic() - started,
         inputs=inputs,
         versions=versions(),
+        stepping=session.stepping,
     )
 
 

@@ -62,6 +62,7 @@ def to_json(result: FitResult, extras: Extras) -> dict[str, Any]:
             "supply_voltage": problem.servo.supply_voltage,
             "firmware_gain": problem.servo.firmware_gain,
         },
+        "stepping": result.stepping,
         "parameters": _parameters(result, extras),
         "mujoco": {field: getattr(values, field) for field in SERVO_FIELDS},
         "law": {"viscous": friction.viscous, **{name: getattr(friction, name) for name in FRICTION_FIELDS}},

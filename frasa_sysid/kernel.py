@@ -10,7 +10,8 @@ friction bound eta of `calibration.friction`:
     \dot q^+ &= \dot q + h (\tau + f) / (M + h B), \qquad q^+ = q + h \dot q^+
 
 b belongs to MuJoCo's reference acceleration of a friction row (solref, solimp); M + h B is its
-implicit damping in the Euler integrator. Tests hold this against `mujoco` itself.
+implicit damping in the Euler integrator. A model of trapezoidal stepping (`calibration.stepping`) has
+M + h B/2 in its place, in the friction's row too. Tests hold both against `mujoco` itself.
 
 Sixteen simulations ("lanes", pairs of a candidate and a run) go through every step together, so
 that the compiler uses vector instructions; there is no call and no branch in the inner loop. What
@@ -46,7 +47,9 @@ SAG, BACK_EMF, FOLLOW, PUNCH, STEEP, DEAD, COLLAPSE_AT, COLLAPSE_TO, BIAS, LAG, 
 IMPLICIT = LANES * 36  # step [s] by which the damping torque looks ahead
 DRAG = LANES * 37
 AHEAD = LANES * 38  # share of its last change that a speed is carried on by, to the time of the angle beside it
-ROWS = 39
+CREEP = LANES * 39  # b of the friction constraint's reference acceleration [1/s]
+SOLID = LANES * 40  # step [s] by which its inertia knows of damping
+ROWS = 41
 _CHUNK = 128  # steps whose inputs are laid out side by side before they are simulated: they fit the first cache
 _BEYOND = 1e3  # [rad] a simulation that got here has diverged
 _NO_LIMIT = 1e3  # [rad] goal steps from here on are not limited
@@ -196,6 +199,7 @@ def _set_power(h: float, w: FloatArray, i: int, late: float, switches: FloatArra
     w[BACK + i] = power * w[BACK_ON + i]
     w[DAMPING + i] = w[DAMPING_OFF + i] + w[BACK + i]
     w[ADVANCE + i] = h / (w[MASS + i] + w[IMPLICIT + i] * w[DAMPING + i])
+    w[HOLD + i] = w[CREEP + i] * (w[MASS + i] + w[SOLID + i] * w[DAMPING + i])
     return until
 
 

@@ -4,9 +4,10 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
+import mujoco
 from lxml import etree
 
-from frasa_sysid.calibration import SERVO_FIELDS
+from frasa_sysid.calibration import SERVO_FIELDS, read, servo_classes, stepping
 from frasa_sysid.calibration.apply import LEAST_FRICTION
 from frasa_sysid.calibration.friction import Friction
 from frasa_sysid.calibration.servo_law import SUFFIX
@@ -111,6 +112,35 @@ def write_class(
         if field in SERVO_FIELDS:
             target = actuator if field in _ACTUATOR_FIELDS else joint
             target.set(field, f"-{value!r} {value!r}" if field == "forcerange" else repr(value))
+
+
+def write_stepping(
+    root: etree._Element, model: mujoco.MjModel, fields: Mapping[str, Mapping[str, float]], nominal: Path
+) -> None:
+    """Have the model step damping and friction of its servos to second order (`calibration.stepping`).
+
+    Args:
+        root: the model.
+        model: the nominal one, compiled.
+        fields: fitted numbers by servo class and field.
+        nominal: named in errors.
+
+    Raises:
+        ModelError: its integrator is not Euler, or a servo has no default class of its own.
+    """
+    stepping.check_integrator(model)
+    h = float(model.opt.timestep)
+    flag = _child(_child(root, "option"), "flag")
+    flag.set("eulerdamp", "disable")
+    for servo in servo_classes(model):
+        known = {field: read(model, f"{servo}.{field}") for field in ("armature", "damping")} | dict(
+            fields.get(servo, {})
+        )
+        joint = _child(class_of(root, servo, nominal), "joint")
+        joint.set("armature", repr(known["armature"] + 0.5 * h * known["damping"]))
+        joint.set("damping", repr(known["damping"]))
+        joint.set("solreffriction", f"{stepping.HARD_STEPS * h!r} 1")
+        joint.set("solimpfriction", " ".join(repr(one) for one in stepping.HARD))
 
 
 def class_of(root: etree._Element, servo: str, nominal: Path) -> etree._Element:

@@ -32,7 +32,15 @@ from frasa_sysid.calibration.load import RANGES_FILE
 from frasa_sysid.claims import Claims, check_model, settle, short_delays
 from frasa_sysid.errors import InputError, ModelError, QualityError
 from frasa_sysid.history_room import longest_delays, room_for
-from frasa_sysid.model_xml import inlined, parts_of, relocate_includes, write_class, write_id, write_number
+from frasa_sysid.model_xml import (
+    inlined,
+    parts_of,
+    relocate_includes,
+    write_class,
+    write_id,
+    write_number,
+    write_stepping,
+)
 from frasa_sysid.published_check import check_compiled
 from frasa_sysid.published_headline import headline
 from frasa_sysid.published_ranges import SUPPLY, ranges_of
@@ -89,6 +97,8 @@ def publish(fits: Sequence[StoredFit], nominal: Path, out: Path, robot: StoredRo
     laws = claims.laws()
     for servo, fields in claims.servos().items():
         write_class(root, servo, fields, laws.get(servo), nominal)
+    if claims.trapezoidal:
+        write_stepping(root, model, claims.servos(), nominal)
     write_robot(root, claims.body_values(), nominal, model)
     write_room(root, room_for(model, longest_delays(calibration.ranges, claims.robot_values())), nominal)
     if SUPPLY in calibration.ranges:

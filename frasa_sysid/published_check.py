@@ -9,16 +9,20 @@ import numpy as np
 from frasa_sysid.calibration import (
     SERVO_FIELDS,
     Calibration,
+    actuators_of,
     apply,
     calibration_id,
     delay_room,
     delayed_sensors,
+    dofs_of,
     load_model,
     parameter,
     read,
+    servo_classes,
     servo_law,
 )
 from frasa_sysid.calibration.apply import LEAST_FRICTION
+from frasa_sysid.calibration.stepping import make_trapezoidal
 from frasa_sysid.claims import Claims
 from frasa_sysid.errors import QualityError
 from frasa_sysid.history_room import longest_delays, room_for, widened
@@ -60,6 +64,8 @@ def _expected(calibration: Calibration, claims: Claims, nominal: Path) -> mujoco
     """The nominal model with room for the delays and the numbers applied; the friction of laws as others see it."""
     longest = longest_delays(calibration.ranges, claims.robot_values())
     expected = widened(nominal, room_for(load_model(nominal), longest))
+    if claims.trapezoidal:
+        step_trapezoidally(expected)
     for servo, fields in claims.servos().items():
         law = claims.laws().get(servo)
         values = {field: value for field, value in fields.items() if law is None or field in SERVO_FIELDS}
@@ -68,6 +74,12 @@ def _expected(calibration: Calibration, claims: Claims, nominal: Path) -> mujoco
         apply(expected, {f"{servo}.{field}": value for field, value in values.items()})
     apply(expected, claims.body_values())
     return expected
+
+
+def step_trapezoidally(model: mujoco.MjModel) -> None:
+    """Have all servos of a model step as those of a trapezoidal bench do, in place."""
+    joints = [dofs_of(model, actuators_of(model, servo)) for servo in servo_classes(model)]
+    make_trapezoidal(model, np.concatenate(joints))
 
 
 def _check_fields(model: mujoco.MjModel, expected: mujoco.MjModel) -> None:

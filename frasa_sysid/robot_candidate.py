@@ -8,7 +8,17 @@ from dataclasses import dataclass, field, replace
 
 import mujoco
 
-from frasa_sysid.calibration import actuators_of, bodies, dofs_of, number, read, servo_classes, servo_law, trunk_of
+from frasa_sysid.calibration import (
+    actuators_of,
+    bodies,
+    dofs_of,
+    number,
+    read,
+    servo_classes,
+    servo_law,
+    stepping,
+    trunk_of,
+)
 from frasa_sysid.calibration.apply import PRESENT_SUPPLY
 from frasa_sysid.calibration.parameters import LAW_COEFFICIENTS
 from frasa_sysid.robot_numbers import SCALES
@@ -103,7 +113,7 @@ class Writer:
 
     def _write_friction(self, model: mujoco.MjModel, servo: str, damping: float, friction: float) -> None:
         dofs, law = self._dofs[servo], self._laws[servo]
-        model.dof_damping[dofs] = self._model.dof_damping[dofs] * damping
+        stepping.set_damping(model, dofs, self._model.dof_damping[dofs] * damping)
         model.dof_frictionloss[dofs] = self._model.dof_frictionloss[dofs] * friction
         if law is not None:
             scaled = {name: getattr(law, name) * friction for name in _TORQUES}

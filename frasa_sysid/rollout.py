@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from frasa_sysid.calibration import load_model, servo_classes, servo_law, sha256_of
+from frasa_sysid.calibration import load_model, servo_classes, servo_law, sha256_of, stepping
 from frasa_sysid.calibration.apply import LEAST_FRICTION
 from frasa_sysid.errors import ModelError
 from frasa_sysid.kernel import slew_limited
@@ -56,6 +56,7 @@ class BenchSimulator:
         self._law = law
         self._model = _with_law(model_path) if law else load_model(model_path)
         self._joint = _hinge(self._model, model_path)
+        self._dofs = np.zeros(1, np.int64)
         self._body = int(self._model.jnt_bodyid[self._joint])
         self._volt_scale = torque_per_volt_scale
         count = threads or len(os.sched_getaffinity(0))
@@ -185,11 +186,11 @@ class BenchSimulator:
         limit = 1e6 if run.absolute else max(power, 1e-9) * values.forcerange * run.force_scale
         model.actuator_forcerange[0] = (-limit, limit)
         model.actuator_delay[0] = values.delay
-        model.dof_damping[0] = power * values.damping + (1.0 - power) * values.damping_off
+        stepping.set_damping(model, self._dofs, power * values.damping + (1.0 - power) * values.damping_off)
         model.dof_frictionloss[0] = max(values.frictionloss, LEAST_FRICTION) if self._law else values.frictionloss
         if self._law:
             servo_law.set_law(model, servo_classes(model)[0], values.friction())
-        model.dof_armature[0] = values.armature
+        stepping.set_armature(model, self._dofs, values.armature)
         mujoco.mj_setConst(model, self._scratch)
 
     def _set_load(self, model: mujoco.MjModel, run: BenchRun) -> None:

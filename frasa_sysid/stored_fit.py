@@ -11,6 +11,7 @@ import numpy as np
 from frasa_sysid.calibration import LAW_FIELDS, SERVO_FIELDS, parameter
 from frasa_sysid.calibration.friction import COEFFICIENTS, FIELDS, LAWS, Friction
 from frasa_sysid.calibration.parameters import LAW_COEFFICIENTS
+from frasa_sysid.calibration.stepping import EULER, TRAPEZOIDAL
 from frasa_sysid.effects import EFFECTS
 from frasa_sysid.errors import InputError
 from frasa_sysid.fit_json import SCHEMA_M1, SERVO, checked_interval, checked_number, checked_text, read_json
@@ -63,6 +64,7 @@ class StoredFit:
         supply_seen: lowest and highest supply of the logs while powered [V].
         delay_jitter: lowest and highest deviation of the interval between commands in the logs [s].
         stands_for: the law in whose place this fit stands; empty for a fit as it was made.
+        stepping: of the bench, `euler` or `trapezoidal`; a model with these numbers has to step likewise.
     """
 
     servo: str
@@ -80,6 +82,7 @@ class StoredFit:
     supply_seen: tuple[float, float] | None = None
     delay_jitter: tuple[float, float] | None = None
     stands_for: str = ""
+    stepping: str = EULER
 
     @property
     def model_law(self) -> Friction | None:
@@ -147,7 +150,14 @@ def _stored(data: dict[str, Any], sha256: str) -> StoredFit:
         not_in_model=tuple(checked_text(one) for one in data.get("not_in_model", [])),
         supply_seen=checked_interval(from_logs.get("supply_voltage"), "supply_voltage", 0.0),
         delay_jitter=checked_interval(from_logs.get("delay_jitter"), "delay_jitter", -np.inf),
+        stepping=_stepping(data.get("stepping", EULER)),
     )
+
+
+def _stepping(value: Any) -> str:  # noqa: ANN401 (whatever JSON holds)
+    if value not in (EULER, TRAPEZOIDAL):
+        raise ValueError(f"stepping = {str(value)[:40]!r}, expected '{EULER}' or '{TRAPEZOIDAL}'")
+    return str(value)
 
 
 def _stand_in(data: Mapping[str, Any]) -> StandIn:

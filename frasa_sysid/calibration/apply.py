@@ -9,7 +9,8 @@ of joints, and the trunk, are in `bodies`.
 
 A model whose supply may change also has the custom number `present_supply_voltage`: its
 actuators hold what gain and force limit are at that supply, while `kp` and `forcerange`,
-written and read here, stay those at the stated one.
+written and read here, stay those at the stated one. In a model of trapezoidal stepping (see
+`stepping`) `armature` is that of the joint, without what stands in the model for its damping.
 """
 
 from collections.abc import Mapping
@@ -19,7 +20,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from frasa_sysid.calibration import bodies
+from frasa_sysid.calibration import bodies, stepping
 from frasa_sysid.calibration.errors import ModelError
 from frasa_sysid.calibration.parameters import JOINT_FIELDS, LAW_COEFFICIENTS, LAW_FIELDS, Parameter, parameter
 
@@ -154,7 +155,7 @@ def read(model: mujoco.MjModel, name: str) -> float:
         "forcerange": model.actuator_forcerange[first[0], 1] / ratio,
         "damping": model.dof_damping[dof],
         "frictionloss": model.dof_frictionloss[dof],
-        "armature": model.dof_armature[dof],
+        "armature": stepping.armature_of(model, int(dof)),
         "delay": model.actuator_delay[first[0]],
     }
     return float(fields[one.field])
@@ -194,8 +195,12 @@ def _set_servo(model: mujoco.MjModel, one: Parameter, value: float) -> None:
         model.actuator_delay[actuators] = value
     elif one.field == "frictionloss" and _law(model, one.owner) is not None:
         model.dof_frictionloss[dofs] = max(value, LEAST_FRICTION)
+    elif one.field == "frictionloss":
+        model.dof_frictionloss[dofs] = value
+    elif one.field == "damping":
+        stepping.set_damping(model, dofs, value)
     else:
-        getattr(model, f"dof_{one.field}")[dofs] = value
+        stepping.set_armature(model, dofs, value)
 
 
 def _law(model: mujoco.MjModel, servo: str) -> "Friction | None":

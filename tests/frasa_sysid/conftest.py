@@ -1,5 +1,6 @@
 """A pendulum bench that shares no code with frasa: 0.1 ms steps, M1 friction as a clip, and all the faults of a log."""
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from frasa_sysid.bench_session import BenchSession
+from frasa_sysid.calibration.stepping import EULER, TRAPEZOIDAL
 from frasa_sysid.excitation_hung import design, first_sizes
 from frasa_sysid.problem import FitProblem, state_problem, stated_servo
 from frasa_sysid.recording import Recording, RigFacts, Signal
@@ -178,6 +180,21 @@ def kit(robot_model_dir: Path) -> Iterator[BenchKit]:
 def recordings() -> list[Recording]:
     """Seven noisy runs of one servo that is not the nominal one."""
     return [measured(plan, f"run{i}") for i, plan in enumerate(PLANS)]
+
+
+@pytest.fixture(scope="session")
+def bench_files(robot_model_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The bench as it is and as MuJoCo steps by default, each in a folder with its includes, by stepping."""
+    found = {}
+    for stepping in (TRAPEZOIDAL, EULER):
+        folder = tmp_path_factory.mktemp(stepping)
+        for source in robot_model_dir.glob("*.xml"):
+            text = source.read_text()
+            if source.name == "bench_pendulum.xml" and stepping == EULER:
+                text = re.sub(r'<flag eulerdamp="disable"/>|armature="0.0267"|sol\w+friction="[^"]*"', "", text)
+            (folder / source.name).write_text(text)
+        found[stepping] = folder / "bench_pendulum.xml"
+    return found
 
 
 @pytest.fixture(scope="session")

@@ -12,6 +12,7 @@ from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.calibration import servo_law
 from frasa_sysid.calibration.fast_math import fast_exp2, fast_log2, fast_sin
 from frasa_sysid.calibration.friction import COEFFICIENTS, Friction, friction_loss
+from frasa_sysid.calibration.stepping import EULER, TRAPEZOIDAL
 from frasa_sysid.rig import BenchRun, segments
 from frasa_sysid.rollout import BenchSimulator
 from frasa_sysid.servo import servo
@@ -88,11 +89,13 @@ class Scalar:
     Attributes:
         volt_scale, supply: see `BenchKernel`.
         creep: b of the friction constraint [1/s].
+        implicit: share of a step by which damping looks ahead.
     """
 
     volt_scale: float
     supply: float
     creep: float
+    implicit: float = 1.0
 
     def readings(self, run, x):
         """Encoder readings at the run's measured times [rad]."""
@@ -120,8 +123,10 @@ class Scalar:
             damping = x.damping_off + power * emf
             bound = self.bound(x, torque - power * emf * v, external, v)
             smooth = torque + external - damping * v
-            stop = min(max(-(smooth + self.creep * mass * v), -bound), bound)
-            v += STEP * (smooth + stop) / (mass + STEP * damping)
+            heavier = mass + self.implicit * STEP * damping
+            stopped = heavier if self.implicit < 1.0 else mass
+            stop = min(max(-(smooth + self.creep * stopped * v), -bound), bound)
+            v += STEP * (smooth + stop) / heavier
             q += STEP * v
             angles.append(q)
         return np.interp(run.t, np.arange(run.steps + 1) * STEP, angles) + x.offset
@@ -163,23 +168,21 @@ class Scalar:
         return x.frictionloss + abs(x.load_external * external - x.load_motor * motor) + fade * static
 
 
-@pytest.fixture(scope="module")
-def session(robot_model_dir):
-    with BenchSession(robot_model_dir / "bench_pendulum.xml", SERVO, threads=2) as one:
+@pytest.fixture(scope="module", params=[TRAPEZOIDAL, EULER])
+def session(request, bench_files):
+    """The bench as it is published, and as MuJoCo steps by default."""
+    with BenchSession(bench_files[request.param], SERVO, threads=2) as one:
+        assert one.stepping == request.param
         yield one
 
 
 @pytest.fixture(scope="module")
-def model_with_law(robot_model_dir, tmp_path_factory):
+def model_with_law(session):
     """The bench with a place for the law's coefficients, beside its includes."""
-    folder = tmp_path_factory.mktemp("models")
-    for source in robot_model_dir.glob("*.xml"):
-        numbers = '<custom><numeric name="mx106_friction" data="0 0.1 0 0 0 0 0 0 0 1 1"/></custom></mujoco>'
-        text = source.read_text()
-        if source.name == "bench_pendulum.xml":
-            text = re.sub("</mujoco>\\s*$", numbers, text)
-        (folder / source.name).write_text(text)
-    return folder / "bench_pendulum.xml"
+    numbers = '<custom><numeric name="mx106_friction" data="0 0.1 0 0 0 0 0 0 0 1 1"/></custom></mujoco>'
+    path = session.model_path.with_name("with_law.xml")
+    path.write_text(re.sub("</mujoco>\\s*$", numbers, session.model_path.read_text()))
+    return path
 
 
 class Replay(BenchSimulator):
@@ -241,7 +244,7 @@ def test_friction_laws_move_as_they_do_inside_mujoco(session, model_with_law, la
 def test_it_moves_as_the_written_out_equations_do(session, law, effects):
     """Every effect at once, in every kind of drive; the last ulp of sin decides less than 1e-10 rad."""
     rng = np.random.default_rng(7)
-    scalar = Scalar(session.volt_scale, SERVO.supply_voltage, session.options.creep)
+    scalar = Scalar(session.volt_scale, SERVO.supply_voltage, session.options.creep, session.options.implicit)
     for control in ("position", "position", "position", "voltage", "force") * 3:
         run, values = with_lead(rng, random_run(rng, 3.0, control)), random_values(rng, law, effects)
         values = replace(values, sag=0.0) if control == "force" else values  # a force knows no supply
@@ -256,7 +259,7 @@ def test_it_moves_as_the_written_out_equations_do(session, law, effects):
 def test_one_effect_alone_is_felt(session, change):
     """Each switches its own loop on, and moves the joint as written out."""
     rng = np.random.default_rng(8)
-    scalar = Scalar(session.volt_scale, SERVO.supply_voltage, session.options.creep)
+    scalar = Scalar(session.volt_scale, SERVO.supply_voltage, session.options.creep, session.options.implicit)
     run, plain = random_run(rng, 2.0, turns=0), replace(random_values(rng), goal_speed=1e6)
     values = replace(plain, **change)
     found = of_kernel(session, run, values)

@@ -156,7 +156,8 @@ def test_without_having_stood_on_it_two_fits_claim_one_number(model_dir, fits, r
 def test_a_product_must_be_one(model_dir, fits, robot_record, tmp_path):
     """A gain that is not the bench's times the scale is not published: one of the three is of another fit."""
     record = robot_record(frozen=tuple(one.sha256 for one in fits))  # scaled the nominal numbers
-    with pytest.raises(CalibrationError, match=r"mx106\.kp = 19\.53, but mx106\.gain_scale = 0\.93 makes 24\.4"):
+    made = re.escape(f"{0.93 * base_of(fits[0])['mx106.kp']:.6g}")
+    with pytest.raises(CalibrationError, match=rf"mx106\.kp = 19\.53, but mx106\.gain_scale = 0\.93 makes {made}"):
         publish(fits, model_dir / "nominal.xml", model_dir / "calibrated.xml", robot_of(record, tmp_path))
 
 
@@ -369,7 +370,8 @@ def test_the_command(model_dir, robot_model_dir, fits, robot_record, tmp_path, c
     out = model_dir / "calibrated.xml"
     status, text = run(capsys, *files, tmp_path / "robot.json", "--model", model_dir / "nominal.xml", "--out", out)
     assert status == 0, text
-    assert "mx106.kp: the robot's fit in place of 26.2483 N m/rad of bench fit" in text
+    kp = base_of(fits[0])["mx106.kp"]
+    assert f"mx106.kp: the robot's fit in place of {kp:.6g} N m/rad of bench fit" in text
     assert "robot, not in this model: position delay" in text
     assert load_fits([*files, tmp_path / "robot.json"])[1].base == "fixed"
     assert read(load_model(out), "sensor.orientation_delay") == 0.0911

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from frasa_sysid.calibration import stepping
 from frasa_sysid.cost import misfit
 from frasa_sysid.errors import ModelError
 from frasa_sysid.rollout import BenchSimulator
@@ -35,6 +36,7 @@ def plain(model_path, run, values):
     model.body_mass[1] = run.gravity_torque / (9.81 * distance)
     model.body_ipos[1] = (0, 0, -distance)
     model.body_inertia[1] = run.inertia - model.body_mass[1] * distance**2
+    trapezoidal = stepping.lead(model) > 0.0
     model.dof_armature[0] = values.armature
     model.dof_frictionloss[0] = values.frictionloss
     model.actuator_delay[0] = values.delay
@@ -53,7 +55,9 @@ def plain(model_path, run, values):
             on = powered_share(run, values.delay, k, dt)
         gain = on * values.kp * run.kp_scale
         model.actuator_gainprm[0, 0], model.actuator_biasprm[0, 1] = gain, -gain
-        model.dof_damping[0] = on * values.damping + (1 - on) * values.damping_off
+        damping = on * values.damping + (1 - on) * values.damping_off
+        model.dof_damping[0] = damping
+        model.dof_armature[0] = values.armature + (dt / 2 * damping if trapezoidal else 0.0)
         data.ctrl[0] = run.command[k] - values.offset
         mujoco.mj_step(model, data)
         angle.append(data.qpos[0])

@@ -31,6 +31,12 @@ def nominal(robot_model_dir: Path) -> mujoco.MjModel:
 
 
 @pytest.fixture
+def calibrated(robot_model_dir: Path) -> mujoco.MjModel:
+    """The published robot, fresh for each test."""
+    return mujoco.MjModel.from_xml_path(str(robot_model_dir / "calibrated.xml"))
+
+
+@pytest.fixture
 def bench(robot_model_dir: Path) -> mujoco.MjModel:
     """The bench pendulum, fresh for each test."""
     return mujoco.MjModel.from_xml_path(str(robot_model_dir / "bench_pendulum.xml"))
