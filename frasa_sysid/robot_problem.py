@@ -29,7 +29,8 @@ class Kind:
         unit: SI unit as text.
         low, high: bounds.
         prior: standard deviation of what is known beforehand.
-        step: for derivatives: about what a log can tell.
+        step: for derivatives: far wider than the roughness that sticking joints give the cost. Slopes over what a
+            log can tell led fits astray by 5 ms.
         fine: half-width of an interval up to which the number counts as identified.
         trust: standard deviation of what the model itself gets wrong about it, whatever the log says: its
             step, the firmware's sampling, the law. Other numbers follow along.
@@ -44,14 +45,14 @@ class Kind:
     trust: float = 0.0
 
 
-DELAY = Kind("s", 0.0, 0.12, 0.03, 5e-4, 1e-3, 2.5e-4)
-ZERO = Kind("rad", -0.2, 0.2, 0.03, 3e-3, 3.5e-3)
+DELAY = Kind("s", 0.0, 0.12, 0.03, 3e-3, 1e-3, 2.5e-4)
+ZERO = Kind("rad", -0.2, 0.2, 0.03, 0.02, 3.5e-3)
 # Standing on bent legs a joint is held by its friction as much as by its gain: a model whose friction creeps a
 # little, as MuJoCo's does, moves the zeros of hip, knee and ankle against each other by tens of milliradians.
-ZERO_STANDING = Kind("rad", -0.2, 0.2, 0.03, 3e-3, 3.5e-3, 0.015)
-SCALE = Kind("1", 0.3, 3.0, 0.4, 0.02, 0.05, 0.015)
-MASS_SCALE = Kind("1", 0.5, 2.0, 0.2, 0.02, 0.03)
-SHIFT = Kind("m", -0.05, 0.05, 0.02, 2e-3, 3e-3)
+ZERO_STANDING = Kind("rad", -0.2, 0.2, 0.03, 0.02, 3.5e-3, 0.015)
+SCALE = Kind("1", 0.3, 3.0, 0.4, 0.12, 0.05, 0.015)
+MASS_SCALE = Kind("1", 0.5, 2.0, 0.2, 0.1, 0.03)
+SHIFT = Kind("m", -0.05, 0.05, 0.02, 0.01, 3e-3)
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ sample per correlation time, and the weak prior of `robot_problem`,
 .. math:: \sum_i \rho(r_i / s_i) / k_i + \tfrac12 \sum_j (x_j - x_{0j})^2 / p_j^2
 
 The covariance is cluster-robust, clustered by second and joint (sandwich; Liang and Zeger 1986), and at
-least the inverse curvature. Derivatives are differences over about what a log can tell, which is wider
-than the roughness that sticking joints give the cost.
+least the inverse curvature. Derivatives are differences over steps that are wide against the roughness that
+sticking joints give the cost (`robot_problem.Kind`).
 """
 
 from collections.abc import Callable, Sequence
