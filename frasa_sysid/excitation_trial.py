@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from frasa_sysid.excitation import Excitation
+from frasa_sysid.holds import down
 from frasa_sysid.robot_body import Joints, bare
 
 FloatArray = npt.NDArray[np.float64]
@@ -48,8 +49,9 @@ def order_of(model: Any, joints: Joints) -> tuple[IntArray, IntArray, IntArray]:
 
 
 def try_out(path: Path, joints: Joints, excitation: Excitation) -> Trial:
-    """Run an excitation on the nominal robot."""
+    """Run an excitation on the nominal robot, held as the excitation says."""
     model = bare(path, held=True, plain=False)
+    model.opt.gravity[:] = np.linalg.norm(model.opt.gravity) * down(excitation.hold)
     # Near is taken for touching, without a force: the robot that records is not quite the nominal one.
     model.geom_gap[:] = CLEARANCE
     actuators, qpos, dof = order_of(model, joints)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.random import Generator
 
 from frasa_sysid.calibration.friction import Friction
+from frasa_sysid.holds import HOLDS
 from frasa_sysid.servo import PUBLISHED_M4, Servo, servo
 
 Base = Literal["fixed", "floating"]
@@ -85,6 +86,12 @@ class RobotTruth:
             UsageError: a class whose load-dependent law nobody published.
         """
         return scaled(servo(name, PUBLISHED_M4), (self.scales or {}).get(name, Scales()))
+
+
+def held(truth: RobotTruth, hold: str) -> RobotTruth:
+    """The same robot held in one of `holds.HOLDS`, as far off it as it was off upright."""
+    way = HOLDS[hold]
+    return replace(truth, roll=truth.roll + way.roll, pitch=truth.pitch + way.pitch)
 
 
 def scaled(one: Servo, by: Scales) -> Servo:

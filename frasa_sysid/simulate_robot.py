@@ -74,6 +74,7 @@ def simulate_robot(
     source: str,
     wiring: Wiring = Wiring(),
     timestep: float = TIMESTEP,
+    take: int = 0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Recording:
     """One log of a robot that follows an excitation.
@@ -87,13 +88,15 @@ def simulate_robot(
         source: name of the recording.
         wiring: of its computer.
         timestep: of the physics [s].
+        take: number of the log of this robot: another one has jitter and noise of its own.
         progress: called now and then with the share done.
 
     Raises:
         QualityError: a robot on its feet fell.
     """
     body = build(path, truth, joints, timestep)
-    rngs = [np.random.default_rng((truth.seed, 100 + i)) for i in range(5)]
+    own = (take,) if take else ()
+    rngs = [np.random.default_rng((truth.seed, 100 + i, *own)) for i in range(5)]
     reads = _cycle_times(rngs[0], wiring, seconds)
     written = reads + WRITE_AFTER
     goals = _counted(excitation.at(written), ENCODER_COUNT, wiring.quantized)
@@ -132,6 +135,7 @@ def _recording(
         "note": f"simulated by frasa-sysid simulate --robot, seed {truth.seed}; no robot was recorded",
         "model": path.name,
         "seed": truth.seed,
+        "hold": excitation.hold,
         "parts": [[part.name, part.start, part.end, part.purpose] for part in excitation.parts],
     }
     known = parameters_of(truth, joints.classes, body.trunk_mass, body.trunk_com)
