@@ -40,6 +40,7 @@ class Excitation:
         goals: [rad], shape (T, n).
         parts: in order of time.
         hold: how the trunk is held meanwhile, one of `holds.HOLDS`; upright for a robot on its feet.
+        firmware_gain: P of the servos meanwhile, in the firmware's unit; None for the model's own.
     """
 
     joints: tuple[str, ...]
@@ -47,6 +48,7 @@ class Excitation:
     goals: FloatArray
     parts: tuple[Part, ...]
     hold: str = UPRIGHT
+    firmware_gain: float | None = None
 
     @property
     def seconds(self) -> float:

@@ -27,7 +27,9 @@ def write_excitation(path: Path, excitation: Excitation, base: Base) -> None:
         "hold": excitation.hold,
         "parts": [[part.name, part.start, part.end, part.purpose] for part in excitation.parts],
     }
-    facts = RigFacts(trajectory="+".join(part.name for part in excitation.parts), base=base)
+    facts = RigFacts(
+        firmware_gain=excitation.firmware_gain, trajectory="+".join(part.name for part in excitation.parts), base=base
+    )
     write_mcap(path, [Recording(path.name, {"goal": goal}, facts, "simulated", path.name, "", "header", extra=extra)])
 
 
@@ -65,4 +67,6 @@ def read_excitation(path: Path) -> Excitation:
     hold = str(recordings[0].extra.get("hold", UPRIGHT))
     if hold not in HOLDS:
         raise LogError(f"{path}: recorded for the hold {hold!r}; expected one of {', '.join(HOLDS)}")
-    return Excitation(goal.columns, np.array(goal.t) - start, np.array(goal.y), named, hold)
+    return Excitation(
+        goal.columns, np.array(goal.t) - start, np.array(goal.y), named, hold, recordings[0].rig.firmware_gain
+    )

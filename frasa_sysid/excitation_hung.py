@@ -55,7 +55,14 @@ def first_sizes(joints: Joints) -> Sizes:
     return Sizes(centre, np.minimum(0.75 * room, 0.8), np.minimum(0.75 * room, 0.5), np.minimum(0.5 * room, 0.25))
 
 
-def design(joints: Joints, sizes: Sizes, seconds: float, seed: int = 0, hold: str = UPRIGHT) -> Excitation:
+def design(
+    joints: Joints,
+    sizes: Sizes,
+    seconds: float,
+    seed: int = 0,
+    hold: str = UPRIGHT,
+    firmware_gain: float | None = None,
+) -> Excitation:
     """The whole excitation.
 
     Args:
@@ -64,6 +71,7 @@ def design(joints: Joints, sizes: Sizes, seconds: float, seed: int = 0, hold: st
         seconds: duration.
         seed: of phases and of the order of steps.
         hold: how the trunk is held; another hold is another draw of phases.
+        firmware_gain: P of the servos; None for the model's own.
     """
     own = (index_of(hold),) if index_of(hold) else ()
     n, rng = len(joints.names), np.random.default_rng((seed, 7, *own))
@@ -76,7 +84,7 @@ def design(joints: Joints, sizes: Sizes, seconds: float, seed: int = 0, hold: st
         "holds": sizes.swing * _holds(rng, count["holds"], n),
     }
     pieces = [(name, PURPOSES[name], sizes.centre + shape) for name, shape in shapes.items()]
-    return replace(joined(joints.names, pieces), hold=hold)
+    return replace(joined(joints.names, pieces), hold=hold, firmware_gain=firmware_gain)
 
 
 def _multisines(rng: Generator, count: int, n: int) -> FloatArray:

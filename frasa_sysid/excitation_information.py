@@ -19,8 +19,7 @@ from mujoco import rollout
 
 from frasa_sysid.calibration import actuators_of, dofs_of
 from frasa_sysid.excitation import PERIOD, Excitation
-from frasa_sysid.excitation_trial import order_of
-from frasa_sysid.holds import down
+from frasa_sysid.excitation_trial import as_recorded, order_of
 from frasa_sysid.robot_body import Joints, bare
 
 FloatArray = npt.NDArray[np.float64]
@@ -114,8 +113,7 @@ def _slopes(
 ) -> FloatArray:
     """Change of all readings, in their noise units, by each parameter, shape (T, 2 n, P)."""
     varied = [name for name in names if name != "sensor.velocity_delay"]
-    model = bare(path, held=True)
-    model.opt.gravity[:] = np.linalg.norm(model.opt.gravity) * down(excitation.hold)
+    model = as_recorded(bare(path, held=True), excitation)
     cases = [_case(model, joints, excitation, name) for name in ["", *varied]]
     readings = []
     for i in range(0, len(cases), BATCH):

@@ -108,6 +108,7 @@ def plan(
     parameters: Sequence[str],
     seconds: float,
     holds: Sequence[str] = (UPRIGHT,),
+    firmware_gain: float | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Plan:
     """Design excitations; make them longer where that brings a parameter within what is wanted.
@@ -119,14 +120,15 @@ def plan(
         parameters: that must be told.
         seconds: duration to try first, of all holds together.
         holds: how the trunk is held, one log after the other.
+        firmware_gain: P of the servos meanwhile; by default the model's own.
         progress: called with the share done.
     """
-    first = _plan(path, joints, moving, seconds, holds, progress)
+    first = _plan(path, joints, moving, seconds, holds, firmware_gain, progress)
     growth = max((_growth(one) for one in first.predictions if one.name in parameters), default=1.0)
     longer = min(seconds * growth, LONGEST)
     if longer < 1.05 * seconds:
         return first
-    second = _plan(path, joints, moving, float(np.ceil(longer)), holds, progress)
+    second = _plan(path, joints, moving, float(np.ceil(longer)), holds, firmware_gain, progress)
     return replace(second, grown_from=seconds)
 
 
@@ -142,13 +144,14 @@ def _plan(
     moving: Sequence[str],
     seconds: float,
     holds: Sequence[str],
+    firmware_gain: float | None,
     progress: Callable[[float], None],
 ) -> Plan:
     each, trying = part_seconds(seconds, holds), share_of(progress, 0, 2)
     excitations, trials = [], []
     for i, hold in enumerate(holds):
-        sizes, trial = fitted_sizes(path, joints, each, share_of(trying, i, len(holds)), moving, hold)
-        excitations.append(design(joints, sizes, each, hold=hold))
+        sizes, trial = fitted_sizes(path, joints, each, share_of(trying, i, len(holds)), moving, hold, firmware_gain)
+        excitations.append(design(joints, sizes, each, hold=hold, firmware_gain=firmware_gain))
         trials.append(trial)
     told = information(path, joints, excitations, share_of(progress, 1, 2))
     return Plan(tuple(excitations), tuple(trials), _predictions(told, excitations), None)

@@ -36,7 +36,10 @@ HOLDS: Mapping[str, Hold] = {
     "face-up": Hold(0.0, -math.pi / 2, "trunk level, face up, arms and legs free"),
     "side": Hold(math.pi / 2, 0.0, "trunk level on its right side, arms and legs free"),
 }
-RECOMMENDED = (UPRIGHT, "face-down")  # a third adds nothing within the same time (README: Fit a whole robot)
+RECOMMENDED = (UPRIGHT, "face-down")  # a third tells no more within the same time
+# P of the position loop while a held robot is recorded. A third of the usual 12 lets gravity turn a joint by three
+# times as many counts of its encoder, and a zero is known three times as well.
+RECOMMENDED_GAIN = 4.0
 
 
 def holds_of(text: str | None) -> tuple[str, ...]:
@@ -50,6 +53,18 @@ def holds_of(text: str | None) -> tuple[str, ...]:
     if unknown or len(set(names)) < len(names):
         raise UsageError(f"--holds {text}: expected some of {','.join(HOLDS)}, each once")
     return names
+
+
+def gain_of(asked: float | None) -> float:
+    """P of the servos while a held robot is recorded: that recommended when nobody says.
+
+    Raises:
+        UsageError: not a gain.
+    """
+    gain = RECOMMENDED_GAIN if asked is None else asked
+    if not 1.0 <= gain <= 64.0:
+        raise UsageError(f"--firmware-gain {gain:g}: expected the servos' P, 1 to 64")
+    return gain
 
 
 def index_of(name: str) -> int:

@@ -16,7 +16,7 @@ from frasa_sysid.excitation import Excitation
 from frasa_sysid.recording import Recording, RigFacts, Signal
 from frasa_sysid.robot_body import Body, Joints, build
 from frasa_sysid.robot_physics import ENCODER_COUNT, TIMESTEP, Traces, simulate
-from frasa_sysid.robot_truth import FIRMWARE_GAIN, RobotTruth, parameters_of
+from frasa_sysid.robot_truth import RobotTruth, parameters_of
 
 FloatArray = npt.NDArray[np.float64]
 # Present Speed of the MX series with protocol 1 (whose P gain of 12 this robot has): about 0.114 rpm a count
@@ -129,7 +129,7 @@ def _recording(
     signals: Mapping[str, Signal],
 ) -> Recording:
     facts = RigFacts(
-        firmware_gain=FIRMWARE_GAIN, trajectory="+".join(part.name for part in excitation.parts), base=truth.base
+        firmware_gain=truth.firmware_gain, trajectory="+".join(part.name for part in excitation.parts), base=truth.base
     )
     extra = {
         "note": f"simulated by frasa-sysid simulate --robot, seed {truth.seed}; no robot was recorded",

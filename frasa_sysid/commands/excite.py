@@ -18,11 +18,14 @@ from frasa_sysid.excitation_hung import SHORTEST
 from frasa_sysid.excitation_plan import LONGEST, NO_INFORMATION, UNITS, Plan, Prediction, chosen, plan
 from frasa_sysid.excitation_standing import design as standing
 from frasa_sysid.excitation_trial import FloatArray, largest
-from frasa_sysid.holds import HOLDS, RECOMMENDED, holds_of
+from frasa_sysid.holds import HOLDS, RECOMMENDED, RECOMMENDED_GAIN, gain_of, holds_of
 from frasa_sysid.robot_body import Joints, joints_of
 
 SCHEMA = "frasa.excite/1"
 MODEL = Path("robot_model/nominal.xml")
+SOFT = (
+    "Set P of all servos to {gain:g} while recording, and tell the fit: frasa-sysid fit ... --firmware-gain {gain:g}."
+)
 BETWEEN = "One log each: clamp the trunk, record, stop, turn the robot. All logs go to one frasa-sysid fit."
 COLOURS = {"good": "green", "weak": "yellow", "not excited": "red"}
 
@@ -42,6 +45,12 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         "--holds",
         metavar="LIST",
         help=f"ways to hold the trunk, one log each, of {','.join(HOLDS)} [{','.join(RECOMMENDED)}]",
+    )
+    parser.add_argument(
+        "--firmware-gain",
+        type=float,
+        metavar="P",
+        help=f"of the servos meanwhile, in the firmware's unit [{RECOMMENDED_GAIN:g}: soft, so that gravity shows]",
     )
     parser.add_argument("--joints", nargs="+", default=[], metavar="NAME", help="joints that move [all]")
     parser.add_argument("--parameters", nargs="+", default=[], metavar="NAME", help="what must be told [all]")
@@ -77,6 +86,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     for one, output in zip(excitations, outputs, strict=True):
         how = f"held {one.hold}: {HOLDS[one.hold].words}" if planned else "on its feet"
         say(f"{output['trajectory']}: {one.seconds:g} s of goals for {len(one.joints)} joints of a robot {how}")
+    if planned:
+        say(SOFT.format(gain=excitations[0].firmware_gain))
     if len(excitations) > 1:
         say(BETWEEN)
     return {
@@ -84,6 +95,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "base": args.base,
         "seconds": sum(one.seconds for one in excitations),
         "holds": list(holds) if planned else [],
+        "firmware_gain": excitations[0].firmware_gain,
         "parts": [{"hold": one.hold, **vars(part)} for one in excitations for part in one.parts],
         "parameters": {} if planned is None else {one.name: _described(one) for one in planned.predictions},
         "untold": NO_INFORMATION if args.base == "fixed" else {},
@@ -107,12 +119,23 @@ def _planned(args: argparse.Namespace, joints: Joints, holds: Sequence[str]) -> 
         raise UsageError(f"--joints {' '.join(unknown)}: the model has {', '.join(joints.names)}")
     parameters = chosen(joints, args.parameters)
     with shown_share("excitation") as progress:
-        return plan(args.model, joints, args.joints or joints.names, parameters, args.seconds, holds, progress)
+        return plan(
+            args.model,
+            joints,
+            args.joints or joints.names,
+            parameters,
+            args.seconds,
+            holds,
+            gain_of(args.firmware_gain),
+            progress,
+        )
 
 
 def _standing(args: argparse.Namespace, joints: Joints) -> Excitation:
-    if args.joints or args.parameters or args.holds:
-        raise UsageError("--joints, --parameters and --holds need --base fixed; a standing robot moves as a whole")
+    if args.joints or args.parameters or args.holds or args.firmware_gain:
+        raise UsageError(
+            "--joints, --parameters, --holds and --firmware-gain need --base fixed; a standing robot moves as a whole"
+        )
     return standing(joints, args.seconds)
 
 

@@ -15,7 +15,7 @@ from frasa_sysid.excitation_file import read_excitation
 from frasa_sysid.excitation_hung import SHORTEST, design
 from frasa_sysid.excitation_sizes import fitted_sizes
 from frasa_sysid.excitation_standing import design as standing
-from frasa_sysid.holds import HOLDS, RECOMMENDED, UPRIGHT, holds_of, part_seconds
+from frasa_sysid.holds import HOLDS, RECOMMENDED, RECOMMENDED_GAIN, UPRIGHT, gain_of, holds_of, part_seconds
 from frasa_sysid.recording import Recording
 from frasa_sysid.robot_body import Joints, joints_of
 from frasa_sysid.robot_truth import Base, draw, held
@@ -41,6 +41,12 @@ def add_robot_arguments(group: "argparse._ArgumentGroup") -> None:
         metavar="LIST",
         help=f"ways to hold the trunk, a run each, of {','.join(HOLDS)} [{','.join(RECOMMENDED)}]; a few degrees off "
         "at random",
+    )
+    group.add_argument(
+        "--firmware-gain",
+        type=float,
+        metavar="P",
+        help=f"of the servos of a held robot [as --excitation says, else {RECOMMENDED_GAIN:g}]",
     )
     group.add_argument("--roll", type=float, metavar="DEG", help="of a held trunk, in place of --holds: a single run")
     group.add_argument("--pitch", type=float, metavar="DEG", help="likewise, positive forward")
@@ -93,6 +99,9 @@ def _checked_holds(args: argparse.Namespace, bases: tuple[Base, ...]) -> tuple[s
         if angle is not None and (bases == ("floating",) or not abs(angle) <= 180.0):
             raise UsageError(f"--{name} {angle}: expected degrees, -180 to 180, of a held trunk (--base fixed)")
     tilted = any(getattr(args, name) is not None for name in TILT)
+    if args.firmware_gain is not None and bases == ("floating",):
+        raise UsageError("--firmware-gain is for a held trunk (--base fixed)")
+    gain_of(args.firmware_gain)
     if args.excitation is not None and len(bases) > 1:
         raise UsageError("--excitation is for one base, not for --base both")
     if args.holds is not None and (bases == ("floating",) or tilted or args.excitation is not None):
@@ -115,12 +124,15 @@ def _runs(args: argparse.Namespace, path: Path, joints: Joints, base: Base, hold
         told, each = [standing(joints, max(length, SHORTEST))], [length]
     else:
         length = part_seconds(args.seconds or SECONDS, holds)
-        told, each = [_designed(path, joints, hold, max(length, SHORTEST)) for hold in holds], [length] * len(holds)
+        gain = gain_of(args.firmware_gain)
+        told = [_designed(path, joints, hold, gain, max(length, SHORTEST)) for hold in holds]
+        each = [length] * len(holds)
     return [_Run(base, one, seconds, i) for i, (one, seconds) in enumerate(zip(told, each, strict=True))]
 
 
 def _simulated(args: argparse.Namespace, path: Path, joints: Joints, run: _Run, name: str) -> Recording:
-    truth = held(draw(run.base, args.seed or 0, joints.classes, joints.names), run.excitation.hold)
+    gain = (args.firmware_gain if run.base == "fixed" else None) or run.excitation.firmware_gain
+    truth = held(draw(run.base, args.seed or 0, joints.classes, joints.names), run.excitation.hold, gain)
     roll = truth.roll if args.roll is None else math.radians(args.roll)
     pitch = truth.pitch if args.pitch is None else math.radians(args.pitch)
     truth = replace(truth, roll=roll, pitch=pitch)
@@ -129,10 +141,10 @@ def _simulated(args: argparse.Namespace, path: Path, joints: Joints, run: _Run, 
         return simulate_robot(path, joints, truth, run.excitation, run.seconds, name, take=run.take, progress=progress)
 
 
-def _designed(path: Path, joints: Joints, hold: str, seconds: float) -> Excitation:
+def _designed(path: Path, joints: Joints, hold: str, gain: float, seconds: float) -> Excitation:
     with shown_share(f"excitation within limits, {hold}") as progress:
-        sizes, _ = fitted_sizes(path, joints, seconds, progress, hold=hold)
-    return design(joints, sizes, seconds, hold=hold)
+        sizes, _ = fitted_sizes(path, joints, seconds, progress, hold=hold, firmware_gain=gain)
+    return design(joints, sizes, seconds, hold=hold, firmware_gain=gain)
 
 
 def _read(path: Path, joints: Joints) -> Excitation:

@@ -19,7 +19,7 @@ from frasa_sysid import stored_fit
 from frasa_sysid.excitation_hung import design as hung
 from frasa_sysid.excitation_sizes import fitted_sizes
 from frasa_sysid.excitation_standing import design as standing
-from frasa_sysid.holds import RECOMMENDED, part_seconds
+from frasa_sysid.holds import RECOMMENDED, RECOMMENDED_GAIN, part_seconds
 from frasa_sysid.recording import Recording
 from frasa_sysid.robot_body import joints_of
 from frasa_sysid.robot_fit import fit_robot
@@ -45,6 +45,7 @@ def main() -> None:
     parser.add_argument("robots", nargs="?", type=int, default=30)
     parser.add_argument("seconds", nargs="?", type=float, default=30.0)
     parser.add_argument("--base", default="fixed")
+    parser.add_argument("--firmware-gain", type=float, default=RECOMMENDED_GAIN, help="P of a held robot's servos")
     args = parser.parse_args()
     fits = [stored_fit.load(ROOT / "fits" / f"{servo}.json") for servo in ("mx106", "mx64")]
     rows = defaultdict(list)
@@ -53,15 +54,16 @@ def main() -> None:
     joints = joints_of(model)
     if args.base == "fixed":
         each = part_seconds(args.seconds, RECOMMENDED)
-        sizes = [fitted_sizes(model, joints, each, hold=hold)[0] for hold in RECOMMENDED]
-        excitations = [hung(joints, size, each, hold=hold) for size, hold in zip(sizes, RECOMMENDED, strict=True)]
+        how = [{"hold": hold, "firmware_gain": args.firmware_gain} for hold in RECOMMENDED]
+        excitations = [hung(joints, fitted_sizes(model, joints, each, **one)[0], each, **one) for one in how]
     else:
         excitations = [standing(joints, args.seconds)]
     for seed in range(args.robots):
         drawn = draw(args.base, seed, joints.classes, joints.names)
         recordings = [
-            simulate_robot(model, joints, held(drawn, one.hold), one, one.seconds, f"robot{seed}.mcap#{i}", take=i)
+            simulate_robot(model, joints, robot, one, one.seconds, f"robot{seed}.mcap#{i}", take=i)
             for i, one in enumerate(excitations)
+            for robot in [held(drawn, one.hold, one.firmware_gain)]
         ]
         truth = truth_of(recordings[0])
         started = time.monotonic()

@@ -63,6 +63,16 @@ def test_face_down_gravity_loads_the_yaw_joints(path, joints):
     assert still[1] > 3 * still[0]
 
 
+def test_a_soft_servo_shows_more_of_gravity(path, joints):
+    """With a third of the gain the same goals tell zeros better, and a delay worse."""
+    sizes = fitted_sizes(path, joints, 10.0, firmware_gain=4.0)[0]
+    stiff, soft = (information(path, joints, [design(joints, sizes, 10.0, firmware_gain=gain)]) for gain in (None, 4.0))
+    ratio = dict(zip(soft.names, soft.sd / stiff.sd, strict=True))
+    assert ratio["left_hip_roll.zero"] < 0.7
+    assert ratio["left_shoulder_pitch.zero"] < 0.7
+    assert ratio["mx106.delay"] > 1.0
+
+
 @pytest.fixture(scope="module")
 def written(path, tmp_path_factory):
     """Goals of two holds, and a short log of a robot that follows them, with the folder they are in."""
@@ -92,6 +102,7 @@ def test_each_hold_has_goals_and_a_log_of_its_own(written):
     for one, hold in ((upright, "upright"), (prone, "face-down")):
         seen = -up_of(one.signal("orientation").y).mean(axis=0)
         assert np.degrees(np.arccos(seen @ down(hold) / np.linalg.norm(seen))) < 15.0
+    assert [one.rig.firmware_gain for one in (upright, prone)] == [4.0, 4.0]
     bias = [upright.truth[f"imu.gyro_bias_{axis}"] for axis in "xyz"]
     count = min(one.signal("gyro").t.size for one in (upright, prone))
     noise = [(one.signal("gyro").y[:count] - bias)[:, 0] for one in (upright, prone)]
@@ -133,9 +144,16 @@ def test_simulate_makes_the_recommended_set(path, tmp_path, capsys):
     assert [one.duration for one in read_log(out, "auto")] == pytest.approx([0.5, 0.5], abs=0.05)
     assert command(*words, "--pitch", 30) == 0
     assert len(read_log(out, "auto")) == 1
-    for wrong in (("--pitch", 30, "--holds", "side"), ("--base", "floating", "--holds", "side"), ("--seconds", 0.6)):
+    assert command(*words, "--holds", "side", "--firmware-gain", 12) == 0
+    assert [one.rig.firmware_gain for one in read_log(out, "auto")] == [12.0]
+    for wrong in (
+        ("--pitch", 30, "--holds", "side"),
+        ("--base", "floating", "--holds", "side"),
+        ("--seconds", 0.6),
+        ("--firmware-gain", 0),
+    ):
         assert command(*words, *wrong) == 2
-    assert capsys.readouterr().err.count("\n") >= 3
+    assert capsys.readouterr().err.count("\n") >= 4
 
 
 def test_names_of_holds():
