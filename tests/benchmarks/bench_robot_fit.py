@@ -23,7 +23,8 @@ from frasa_sysid.holds import RECOMMENDED, RECOMMENDED_GAIN, part_seconds
 from frasa_sysid.recording import Recording
 from frasa_sysid.robot_body import joints_of
 from frasa_sysid.robot_fit import fit_robot
-from frasa_sysid.robot_truth import draw, held
+from frasa_sysid.robot_truth import draw
+from frasa_sysid.robot_truth import held as turned
 from frasa_sysid.simulate_robot import simulate_robot
 
 ROOT = Path(__file__).parents[2] / "robot_model"
@@ -63,7 +64,7 @@ def main() -> None:
         recordings = [
             simulate_robot(model, joints, robot, one, one.seconds, f"robot{seed}.mcap#{i}", take=i)
             for i, one in enumerate(excitations)
-            for robot in [held(drawn, one.hold, one.firmware_gain)]
+            for robot in [turned(drawn, one.hold, one.firmware_gain)]
         ]
         truth = truth_of(recordings[0])
         started = time.monotonic()
