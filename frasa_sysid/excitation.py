@@ -3,10 +3,12 @@
 Every part starts and ends at one centre pose, so parts can be joined in any order.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+
+from frasa_sysid.holds import UPRIGHT
 
 FloatArray = npt.NDArray[np.float64]
 PERIOD = 0.01  # [s] between goals
@@ -37,12 +39,16 @@ class Excitation:
         t: times [s], shape (T,), from 0.
         goals: [rad], shape (T, n).
         parts: in order of time.
+        hold: how the trunk is held meanwhile, one of `holds.HOLDS`; upright for a robot on its feet.
+        firmware_gain: P of the servos meanwhile, in the firmware's unit; None for the model's own.
     """
 
     joints: tuple[str, ...]
     t: FloatArray
     goals: FloatArray
     parts: tuple[Part, ...]
+    hold: str = UPRIGHT
+    firmware_gain: float | None = None
 
     @property
     def seconds(self) -> float:
@@ -52,7 +58,7 @@ class Excitation:
     def for_joints(self, names: tuple[str, ...]) -> "Excitation":
         """The same with the joints in another order."""
         order = [self.joints.index(name) for name in names]
-        return Excitation(names, self.t, self.goals[:, order], self.parts)
+        return replace(self, joints=names, goals=self.goals[:, order])
 
     def at(self, times: FloatArray) -> FloatArray:
         """Goals [rad] at other times [s], shape (K, n); held before the first and after the last."""

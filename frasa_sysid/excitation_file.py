@@ -8,6 +8,7 @@ import numpy as np
 from frasa_sysid.calibration.files import write_atomic
 from frasa_sysid.errors import LogError
 from frasa_sysid.excitation import Excitation, Part
+from frasa_sysid.holds import HOLDS, UPRIGHT
 from frasa_sysid.readers import read_log
 from frasa_sysid.recording import Recording, RigFacts, Signal
 from frasa_sysid.robot_truth import Base
@@ -23,9 +24,12 @@ def write_excitation(path: Path, excitation: Excitation, base: Base) -> None:
     goal = Signal("goal", "rad", excitation.t, excitation.goals, excitation.joints)
     extra = {
         "note": "goals to send to a robot, made by frasa-sysid excite; no robot was recorded",
+        "hold": excitation.hold,
         "parts": [[part.name, part.start, part.end, part.purpose] for part in excitation.parts],
     }
-    facts = RigFacts(trajectory="+".join(part.name for part in excitation.parts), base=base)
+    facts = RigFacts(
+        firmware_gain=excitation.firmware_gain, trajectory="+".join(part.name for part in excitation.parts), base=base
+    )
     write_mcap(path, [Recording(path.name, {"goal": goal}, facts, "simulated", path.name, "", "header", extra=extra)])
 
 
@@ -60,4 +64,9 @@ def read_excitation(path: Path) -> Excitation:
         named = tuple(Part(str(name), float(low), float(high), str(text)) for name, low, high, text in parts)
     except (TypeError, ValueError) as error:
         raise LogError(f"{path}: its list of parts cannot be understood: {error}") from error
-    return Excitation(goal.columns, np.array(goal.t) - start, np.array(goal.y), named)
+    hold = str(recordings[0].extra.get("hold", UPRIGHT))
+    if hold not in HOLDS:
+        raise LogError(f"{path}: recorded for the hold {hold!r}; expected one of {', '.join(HOLDS)}")
+    return Excitation(
+        goal.columns, np.array(goal.t) - start, np.array(goal.y), named, hold, recordings[0].rig.firmware_gain
+    )

@@ -3,13 +3,14 @@
 All shapes are written for one unit of amplitude about zero; `design` scales them joint by joint.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator
 
 from frasa_sysid.excitation import PERIOD, Excitation, joined
+from frasa_sysid.holds import UPRIGHT, index_of
 from frasa_sysid.robot_body import Joints
 
 FloatArray = npt.NDArray[np.float64]
@@ -54,7 +55,14 @@ def first_sizes(joints: Joints) -> Sizes:
     return Sizes(centre, np.minimum(0.75 * room, 0.8), np.minimum(0.75 * room, 0.5), np.minimum(0.5 * room, 0.25))
 
 
-def design(joints: Joints, sizes: Sizes, seconds: float, seed: int = 0) -> Excitation:
+def design(
+    joints: Joints,
+    sizes: Sizes,
+    seconds: float,
+    seed: int = 0,
+    hold: str = UPRIGHT,
+    firmware_gain: float | None = None,
+) -> Excitation:
     """The whole excitation.
 
     Args:
@@ -62,8 +70,11 @@ def design(joints: Joints, sizes: Sizes, seconds: float, seed: int = 0) -> Excit
         sizes: amplitudes.
         seconds: duration.
         seed: of phases and of the order of steps.
+        hold: how the trunk is held; another hold is another draw of phases.
+        firmware_gain: P of the servos; None for the model's own.
     """
-    n, rng = len(joints.names), np.random.default_rng((seed, 7))
+    own = (index_of(hold),) if index_of(hold) else ()
+    n, rng = len(joints.names), np.random.default_rng((seed, 7, *own))
     count = {name: max(1, round(share * seconds / PERIOD)) for name, share in SHARES.items()}
     shapes = {
         "still": np.zeros((count["still"], n)),
@@ -73,7 +84,7 @@ def design(joints: Joints, sizes: Sizes, seconds: float, seed: int = 0) -> Excit
         "holds": sizes.swing * _holds(rng, count["holds"], n),
     }
     pieces = [(name, PURPOSES[name], sizes.centre + shape) for name, shape in shapes.items()]
-    return joined(joints.names, pieces)
+    return replace(joined(joints.names, pieces), hold=hold, firmware_gain=firmware_gain)
 
 
 def _multisines(rng: Generator, count: int, n: int) -> FloatArray:

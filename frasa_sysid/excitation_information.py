@@ -1,9 +1,9 @@
-r"""What an excitation will tell: Fisher information of each parameter, on the nominal model held by the trunk.
+r"""What excitations will tell: Fisher information of each parameter, on the nominal model held by the trunk.
 
 With J the change of all readings by a parameter, each in its own noise unit, the information is
-:math:`J^T J` and the predicted intervals are those of its inverse. Finite differences run through
-`mujoco.rollout`. Noise is what fits leave over rather than what sensors add: neighbouring errors
-of a model go together, so only one sample in `CORRELATED` counts.
+:math:`J^T J`, summed over the logs of all holds, and the predicted intervals are those of its inverse.
+Finite differences run through `mujoco.rollout`. Noise is what fits leave over rather than what sensors
+add: neighbouring errors of a model go together, so only one sample in `CORRELATED` counts.
 """
 
 import copy
@@ -19,7 +19,7 @@ from mujoco import rollout
 
 from frasa_sysid.calibration import actuators_of, dofs_of
 from frasa_sysid.excitation import PERIOD, Excitation
-from frasa_sysid.excitation_trial import order_of
+from frasa_sysid.excitation_trial import as_recorded, order_of
 from frasa_sysid.robot_body import Joints, bare
 
 FloatArray = npt.NDArray[np.float64]
@@ -53,7 +53,7 @@ class Information:
     Attributes:
         names: of the parameters.
         sd: predicted standard deviations, in the parameters' units, shape (P,).
-        shares: of each parameter's information by part of the excitation, shape (parts, P).
+        shares: of each parameter's information by part, those of all excitations in turn, shape (parts, P).
     """
 
     names: tuple[str, ...]
@@ -70,20 +70,50 @@ def parameters_of_held(joints: Joints) -> tuple[str, ...]:
     return (*names, "sensor.velocity_delay", *(f"{joint}.zero" for joint in joints.names))
 
 
+def share_of(progress: Callable[[float], None], i: int, count: int) -> Callable[[float], None]:
+    """What to call with the share done of the i-th of some equal pieces of work."""
+    return lambda share: progress((i + share) / count)
+
+
 def information(
-    path: Path, joints: Joints, excitation: Excitation, progress: Callable[[float], None] = lambda share: None
+    path: Path,
+    joints: Joints,
+    excitations: Sequence[Excitation],
+    progress: Callable[[float], None] = lambda share: None,
 ) -> Information:
-    """Predict what a log of an excitation will tell.
+    """Predict what logs of some excitations will tell together.
 
     Args:
         path: the nominal model.
         joints: of the model.
-        excitation: goals to send.
+        excitations: goals to send, each in its own hold.
         progress: called with the share done.
     """
-    names = parameters_of_held(joints)
+    names, count = parameters_of_held(joints), len(excitations)
+    known = np.array([PRIOR[_field(name)] for name in names])
+    total, shares = np.eye(len(names)), []
+    for i, one in enumerate(excitations):
+        slopes = _slopes(path, joints, one, names, share_of(progress, i, count)) * known
+        total += np.einsum("tip,tiq->pq", slopes, slopes)
+        shares.append(_by_part(slopes, one))
+    sd = np.sqrt(np.diag(np.linalg.inv(total))) * known
+    own = np.concatenate(shares)
+    return Information(names, sd, own / np.maximum(own.sum(axis=0), 1e-300))
+
+
+def _by_part(slopes: FloatArray, excitation: Excitation) -> FloatArray:
+    """Information of each parameter in each part, from slopes (T, 2 n, P), shape (parts, P)."""
+    t = np.arange(len(slopes)) * PERIOD
+    part = np.searchsorted([one.end for one in excitation.parts[:-1]], t, side="right")
+    return np.stack([(slopes[part == i] ** 2).sum(axis=(0, 1)) for i in range(len(excitation.parts))])
+
+
+def _slopes(
+    path: Path, joints: Joints, excitation: Excitation, names: Sequence[str], progress: Callable[[float], None]
+) -> FloatArray:
+    """Change of all readings, in their noise units, by each parameter, shape (T, 2 n, P)."""
     varied = [name for name in names if name != "sensor.velocity_delay"]
-    model = bare(path, held=True)
+    model = as_recorded(bare(path, held=True), excitation)
     cases = [_case(model, joints, excitation, name) for name in ["", *varied]]
     readings = []
     for i in range(0, len(cases), BATCH):
@@ -92,19 +122,7 @@ def information(
     weights = np.repeat([1.0 / POSITION_NOISE, 1.0 / VELOCITY_NOISE], len(joints.names)) / np.sqrt(CORRELATED)
     slopes = {name: (readings[i + 1] - readings[0]) / STEP[_field(name)] * weights for i, name in enumerate(varied)}
     slopes["sensor.velocity_delay"] = _of_velocity_delay(readings[0], len(joints.names)) * weights
-    return _inverted(names, np.stack([slopes[name] for name in names], axis=-1), excitation)
-
-
-def _inverted(names: tuple[str, ...], slopes: FloatArray, excitation: Excitation) -> Information:
-    """From slopes of shape (T, 2 n, P)."""
-    known = np.array([PRIOR[_field(name)] for name in names])
-    scaled = slopes * known
-    total = np.einsum("tip,tiq->pq", scaled, scaled) + np.eye(len(names))
-    sd = np.sqrt(np.diag(np.linalg.inv(total))) * known
-    t = np.arange(len(slopes)) * PERIOD
-    part = np.searchsorted([one.end for one in excitation.parts[:-1]], t, side="right")
-    own = np.stack([(scaled[part == i] ** 2).sum(axis=(0, 1)) for i in range(len(excitation.parts))])
-    return Information(names, sd, own / np.maximum(own.sum(axis=0), 1e-300))
+    return np.stack([slopes[name] for name in names], axis=-1)
 
 
 def _field(name: str) -> str:

@@ -1,10 +1,10 @@
-"""An excitation that is long enough for what it is to tell, with what it will and will not tell.
+"""Excitations, one a hold, that are long enough for what they are to tell, with what they will and will not tell.
 
 Pieces: amplitudes within limits (`excitation_sizes`), predicted intervals (`excitation_information`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -13,9 +13,10 @@ import numpy as np
 from frasa_sysid.errors import UsageError
 from frasa_sysid.excitation import Excitation
 from frasa_sysid.excitation_hung import design
-from frasa_sysid.excitation_information import PRIOR, Information, information, parameters_of_held
+from frasa_sysid.excitation_information import PRIOR, Information, information, parameters_of_held, share_of
 from frasa_sysid.excitation_sizes import fitted_sizes
 from frasa_sysid.excitation_trial import Trial
+from frasa_sysid.holds import UPRIGHT, part_seconds
 from frasa_sysid.robot_body import Joints
 
 LONGEST = 120.0  # [s]
@@ -54,7 +55,7 @@ class Prediction:
         half_width: of its 95 % interval, in its unit.
         wanted: half width that is asked for.
         verdict: `good`, `weak` (wider than asked for), or `not excited` (hardly narrower than before any log).
-        part: which part tells most of it.
+        part: which part tells most of it, and in which hold.
     """
 
     name: str
@@ -66,17 +67,17 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Plan:
-    """An excitation and what it promises.
+    """Excitations and what they promise together.
 
     Attributes:
-        excitation: goals.
-        trial: torques and speeds on the nominal model.
-        predictions: one for each parameter.
+        excitations: goals, one set a hold.
+        trials: torques and speeds of each on the nominal model.
+        predictions: one for each parameter, from the logs of all holds.
         grown_from: duration that was tried first [s]; None if it was long enough.
     """
 
-    excitation: Excitation
-    trial: Trial
+    excitations: tuple[Excitation, ...]
+    trials: tuple[Trial, ...]
     predictions: tuple[Prediction, ...]
     grown_from: float | None
 
@@ -106,25 +107,29 @@ def plan(
     moving: Sequence[str],
     parameters: Sequence[str],
     seconds: float,
+    holds: Sequence[str] = (UPRIGHT,),
+    firmware_gain: float | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Plan:
-    """Design an excitation; make it longer where that brings a parameter within what is wanted.
+    """Design excitations; make them longer where that brings a parameter within what is wanted.
 
     Args:
         path: nominal model.
         joints: of the model.
         moving: joints that may move.
         parameters: that must be told.
-        seconds: duration to try first.
+        seconds: duration to try first, of all holds together.
+        holds: how the trunk is held, one log after the other.
+        firmware_gain: P of the servos meanwhile; by default the model's own.
         progress: called with the share done.
     """
-    first = _plan(path, joints, moving, seconds, progress)
+    first = _plan(path, joints, moving, seconds, holds, firmware_gain, progress)
     growth = max((_growth(one) for one in first.predictions if one.name in parameters), default=1.0)
     longer = min(seconds * growth, LONGEST)
     if longer < 1.05 * seconds:
         return first
-    second = _plan(path, joints, moving, float(np.ceil(longer)), progress)
-    return Plan(second.excitation, second.trial, second.predictions, seconds)
+    second = _plan(path, joints, moving, float(np.ceil(longer)), holds, firmware_gain, progress)
+    return replace(second, grown_from=seconds)
 
 
 def _growth(one: Prediction) -> float:
@@ -133,20 +138,33 @@ def _growth(one: Prediction) -> float:
     return factor if 1.0 < factor <= 4.0 else 1.0
 
 
-def _plan(path: Path, joints: Joints, moving: Sequence[str], seconds: float, progress: Callable[[float], None]) -> Plan:
-    sizes, trial = fitted_sizes(path, joints, seconds, lambda share: progress(share / 2.0), moving)
-    excitation = design(joints, sizes, seconds)
-    told = information(path, joints, excitation, lambda share: progress(0.5 + share / 2.0))
-    return Plan(excitation, trial, _predictions(told, excitation), None)
+def _plan(
+    path: Path,
+    joints: Joints,
+    moving: Sequence[str],
+    seconds: float,
+    holds: Sequence[str],
+    firmware_gain: float | None,
+    progress: Callable[[float], None],
+) -> Plan:
+    each, trying = part_seconds(seconds, holds), share_of(progress, 0, 2)
+    excitations, trials = [], []
+    for i, hold in enumerate(holds):
+        sizes, trial = fitted_sizes(path, joints, each, share_of(trying, i, len(holds)), moving, hold, firmware_gain)
+        excitations.append(design(joints, sizes, each, hold=hold, firmware_gain=firmware_gain))
+        trials.append(trial)
+    told = information(path, joints, excitations, share_of(progress, 1, 2))
+    return Plan(tuple(excitations), tuple(trials), _predictions(told, excitations), None)
 
 
-def _predictions(told: Information, excitation: Excitation) -> tuple[Prediction, ...]:
+def _predictions(told: Information, excitations: Sequence[Excitation]) -> tuple[Prediction, ...]:
+    parts = [f"{one.hold}: {part.name}" for one in excitations for part in one.parts]
     found = []
     for name, sd, share in zip(told.names, told.sd, told.shares.T, strict=True):
         field = name.rpartition(".")[2]
         half, wanted = 1.96 * float(sd), WANTED[field]
         blind = sd > 0.5 * PRIOR[field]
         verdict: Verdict = "not excited" if blind else "good" if half <= wanted else "weak"
-        part = "-" if blind else excitation.parts[int(np.argmax(share))].name
+        part = "-" if blind else parts[int(np.argmax(share))]
         found.append(Prediction(name, half, wanted, verdict, part))
     return tuple(found)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from frasa_sysid.errors import QualityError
 from frasa_sysid.excitation_hung import Sizes, design, first_sizes
 from frasa_sysid.excitation_trial import Trial, try_out
+from frasa_sysid.holds import UPRIGHT
 from frasa_sysid.robot_body import Joints
 
 FloatArray = npt.NDArray[np.float64]
@@ -28,6 +29,8 @@ def fitted_sizes(
     seconds: float,
     progress: Callable[[float], None] = lambda share: None,
     moving: Sequence[str] | None = None,
+    hold: str = UPRIGHT,
+    firmware_gain: float | None = None,
 ) -> tuple[Sizes, Trial]:
     """Try, and make smaller what asks too much.
 
@@ -37,6 +40,8 @@ def fitted_sizes(
         seconds: duration of the excitation.
         progress: called with the share of the rounds that may be needed.
         moving: joints that may move; by default all.
+        hold: how the trunk is held.
+        firmware_gain: P of the servos; by default the model's own.
 
     Returns:
         Amplitudes, and the trial that they passed.
@@ -49,7 +54,7 @@ def fitted_sizes(
         free = np.isin(joints.names, list(moving))
         sizes = replace(sizes, swing=sizes.swing * free, quick=sizes.quick * free, step=sizes.step * free)
     for i in range(ROUNDS):
-        excitation = design(joints, sizes, seconds)
+        excitation = design(joints, sizes, seconds, hold=hold, firmware_gain=firmware_gain)
         trial = try_out(path, joints, excitation)
         over = np.maximum(trial.torque / TORQUE_SHARE, trial.speed / SPEED_SHARE) > 1.0
         if not over.any() and not trial.touching.any():

@@ -11,7 +11,9 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from frasa_sysid.calibration import number
 from frasa_sysid.excitation import Excitation
+from frasa_sysid.holds import down
 from frasa_sysid.robot_body import Joints, bare
 
 FloatArray = npt.NDArray[np.float64]
@@ -47,9 +49,19 @@ def order_of(model: Any, joints: Joints) -> tuple[IntArray, IntArray, IntArray]:
     return actuators, np.array(model.jnt_qposadr[wanted]), np.array(model.jnt_dofadr[wanted])
 
 
+def as_recorded(model: Any, excitation: Excitation) -> Any:  # noqa: ANN401
+    """A held model, changed in place: gravity of its hold, gain of its firmware."""
+    model.opt.gravity[:] = np.linalg.norm(model.opt.gravity) * down(excitation.hold)
+    if excitation.firmware_gain is not None:
+        ratio = excitation.firmware_gain / number(model, "servo_firmware_gain")
+        model.actuator_gainprm[:, 0] *= ratio
+        model.actuator_biasprm[:, 1] *= ratio
+    return model
+
+
 def try_out(path: Path, joints: Joints, excitation: Excitation) -> Trial:
-    """Run an excitation on the nominal robot."""
-    model = bare(path, held=True, plain=False)
+    """Run an excitation on the nominal robot, held as the excitation says."""
+    model = as_recorded(bare(path, held=True, plain=False), excitation)
     # Near is taken for touching, without a force: the robot that records is not quite the nominal one.
     model.geom_gap[:] = CLEARANCE
     actuators, qpos, dof = order_of(model, joints)

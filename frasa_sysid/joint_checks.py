@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from frasa_sysid.errors import LogError
+from frasa_sysid.holds import up_of
 from frasa_sysid.lag_channels import Pair, pairs
 from frasa_sysid.recording import FloatArray, Recording
 
@@ -24,6 +25,7 @@ MOVES = 0.02  # [rad], standard deviation, from which on a joint moves
 LATEST = 0.4  # [s] that a joint may be behind its goal
 SPEED_SLOPE = (0.7, 1.4)  # of a velocity over the derivative of the position
 SPEED_FOLLOWS = 0.5
+STEADY = np.radians(3.0)  # of a held trunk's tilt: beyond it zeros are off by as much as they are asked to be known
 DEGREES = 180 / np.pi
 TURNS_PER_MINUTE = 60 / (2 * np.pi)
 
@@ -51,7 +53,7 @@ def checks(recording: Recording) -> list[Check]:
     """Everything that looks wrong with a recording's joints; empty where nothing does, or there are none."""
     if "position" not in recording.signals or recording.linear:
         return _no_joints(recording)
-    found = [*_rate(recording), *_goal(recording)]
+    found = [*_rate(recording), *_goal(recording), *_held(recording)]
     for name, judge in (("goal", _against_goal), ("velocity", _against_slope)):
         if name in recording.signals:
             found += _joints(recording, name, judge)
@@ -103,6 +105,25 @@ def _goal(recording: Recording) -> list[Check]:
         text = f"no goal for {', '.join(lacking)}: nothing can be fitted of them"
         return [Check(recording.name, "no_goal", "", "warn", text)]
     return []
+
+
+def _held(recording: Recording) -> list[Check]:
+    """A trunk that is said to be held, and was turned meanwhile: a fit takes gravity to be constant in it."""
+    turned = recording.signals.get("orientation")
+    if recording.rig.base != "fixed" or turned is None or turned.t.size < 3:
+        return []
+    up = up_of(turned.y)  # a turn about the vertical changes no load
+    middle = np.median(up, axis=0)
+    away = np.arccos(np.clip(up @ middle / np.linalg.norm(middle), -1.0, 1.0))
+    most = float(np.percentile(away, 99))
+    if most <= STEADY:
+        return []
+    when = turned.t[int(np.argmax(away))] - turned.t[0]
+    text = (
+        f"the trunk counts as held and was tilted by {np.rad2deg(most):.0f} deg (around {when:.1f} s): clamp it, and "
+        "record each way to hold it as a log of its own"
+    )
+    return [Check(recording.name, "trunk_moved", "", "warn", text)]
 
 
 def _against_goal(recording: Recording, pair: Pair) -> list[Check]:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from frasa_sysid.finding import Finding, Verdict
+from frasa_sysid.holds import up_of
 from frasa_sysid.recording import Recording
 from frasa_sysid.robot_fit import RECORD
 from frasa_sysid.robot_rig import SLOWEST, is_robot
@@ -15,6 +16,7 @@ from frasa_sysid.robot_rig import SLOWEST, is_robot
 _SLOW = 0.015  # [s] between samples, beyond which a delay of milliseconds is seen badly
 _QUICK = 1.0  # [rad/s] of a goal or joint
 _MOVES = 0.1  # [rad] that a joint travels
+_APART = 45.0  # [deg] between the ways to hold a trunk, from which on gravity turns other joints
 _TURNS = 0.2  # [rad/s] root mean square rate of a trunk that tells the age of its IMU
 
 
@@ -78,8 +80,27 @@ def _zeros(robots: Sequence[Recording]) -> Finding:
     on_ground = any(one.rig.base == "floating" and "orientation" in one.signals for one in robots)
     if on_ground:
         return Finding("joint zeros", "yes", "the robot stood, with its tilt measured")
-    reason = "gravity hardly turns yaw joints and feet of a robot that is held" + _held_or_unsaid(robots)
+    ways, apart = _ways(robots)
+    if apart > _APART:
+        reason = (
+            f"held {ways} ways, up to {apart:.0f} deg apart; a joint whose load is balanced on its axis stays unknown"
+        )
+        return Finding("joint zeros", "yes", reason)
+    reason = "gravity hardly turns yaw joints and feet of a robot that is held one way" + _held_or_unsaid(robots)
     return Finding("joint zeros", "weak", reason, RECORD["zero"])
+
+
+def _ways(robots: Sequence[Recording]) -> tuple[int, float]:
+    """Logs of a held trunk with its orientation, and the most that two of them are apart [deg]."""
+    ups = [
+        up_of(one.signals["orientation"].y).mean(axis=0)
+        for one in robots
+        if one.rig.base == "fixed" and "orientation" in one.signals
+    ]
+    if len(ups) < 2:
+        return len(ups), 0.0
+    directions = np.stack([up / np.linalg.norm(up) for up in ups])
+    return len(ups), float(np.degrees(np.arccos(np.clip(directions @ directions.T, -1.0, 1.0)).max()))
 
 
 def _scales(robots: Sequence[Recording]) -> Finding:

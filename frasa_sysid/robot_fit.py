@@ -38,7 +38,7 @@ RECORD = {
     "sensor.velocity_delay": "quick motion (frasa-sysid excite), velocities at 100 Hz or more",
     "sensor.gyro_delay": "the robot on the ground, leaning and squatting quickly (--base floating)",
     "sensor.orientation_delay": "the robot on the ground, leaning and squatting quickly (--base floating)",
-    "zero": "slow motion and holds in poses where gravity turns the joint, or the robot standing with its IMU",
+    "zero": "the robot held face down as well as upright (frasa-sysid excite), or standing with its IMU",
     "gain_scale": "loads held at the horizontal, and quick motion (frasa-sysid excite)",
     "damping_scale": "quick motion (frasa-sysid excite)",
     "friction_scale": "slow motion with reversals (frasa-sysid excite)",

@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from frasa_sysid.robot_body import Body, Joints
-from frasa_sysid.robot_truth import FIRMWARE_GAIN, RobotTruth
+from frasa_sysid.robot_truth import RobotTruth
 
 FloatArray = npt.NDArray[np.float64]
 TIMESTEP = 0.00025  # [s]
@@ -94,7 +94,7 @@ def servos_of(truth: RobotTruth, joints: Joints) -> Servos:
     laws = [one.friction for one in each]
     zeros = truth.zeros or {}
     columns = (
-        [one.error_gain * FIRMWARE_GAIN for one in each],
+        [one.error_gain * truth.firmware_gain for one in each],
         [one.max_duty for one in each],
         [one.kt for one in each],
         [one.R for one in each],

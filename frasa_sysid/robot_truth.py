@@ -12,6 +12,7 @@ import numpy as np
 from numpy.random import Generator
 
 from frasa_sysid.calibration.friction import Friction
+from frasa_sysid.holds import HOLDS
 from frasa_sysid.servo import PUBLISHED_M4, Servo, servo
 
 Base = Literal["fixed", "floating"]
@@ -59,6 +60,7 @@ class RobotTruth:
         open_voltage: of the battery without load [V].
         resistance: of battery and leads [Ohm].
         gyro_bias: [rad/s], trunk frame.
+        firmware_gain: P of the servos while this log is taken; `<servo>.kp` is told at the usual one.
     """
 
     base: Base = "fixed"
@@ -77,6 +79,7 @@ class RobotTruth:
     open_voltage: float = 15.0
     resistance: float = 0.0
     gyro_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    firmware_gain: float = FIRMWARE_GAIN
 
     def servo(self, name: str) -> Servo:
         """The servo of a class as it is on this robot.
@@ -85,6 +88,12 @@ class RobotTruth:
             UsageError: a class whose load-dependent law nobody published.
         """
         return scaled(servo(name, PUBLISHED_M4), (self.scales or {}).get(name, Scales()))
+
+
+def held(truth: RobotTruth, hold: str, firmware_gain: float | None = None) -> RobotTruth:
+    """The same robot held in one of `holds.HOLDS`, as far off it as it was off upright; P of its servos, if another."""
+    way, gain = HOLDS[hold], firmware_gain or truth.firmware_gain
+    return replace(truth, roll=truth.roll + way.roll, pitch=truth.pitch + way.pitch, firmware_gain=gain)
 
 
 def scaled(one: Servo, by: Scales) -> Servo:

@@ -16,7 +16,7 @@ from frasa_sysid.excitation import Excitation
 from frasa_sysid.recording import Recording, RigFacts, Signal
 from frasa_sysid.robot_body import Body, Joints, build
 from frasa_sysid.robot_physics import ENCODER_COUNT, TIMESTEP, Traces, simulate
-from frasa_sysid.robot_truth import FIRMWARE_GAIN, RobotTruth, parameters_of
+from frasa_sysid.robot_truth import RobotTruth, parameters_of
 
 FloatArray = npt.NDArray[np.float64]
 # Present Speed of the MX series with protocol 1 (whose P gain of 12 this robot has): about 0.114 rpm a count
@@ -74,6 +74,7 @@ def simulate_robot(
     source: str,
     wiring: Wiring = Wiring(),
     timestep: float = TIMESTEP,
+    take: int = 0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Recording:
     """One log of a robot that follows an excitation.
@@ -87,13 +88,15 @@ def simulate_robot(
         source: name of the recording.
         wiring: of its computer.
         timestep: of the physics [s].
+        take: number of the log of this robot: another one has jitter and noise of its own.
         progress: called now and then with the share done.
 
     Raises:
         QualityError: a robot on its feet fell.
     """
     body = build(path, truth, joints, timestep)
-    rngs = [np.random.default_rng((truth.seed, 100 + i)) for i in range(5)]
+    own = (take,) if take else ()
+    rngs = [np.random.default_rng((truth.seed, 100 + i, *own)) for i in range(5)]
     reads = _cycle_times(rngs[0], wiring, seconds)
     written = reads + WRITE_AFTER
     goals = _counted(excitation.at(written), ENCODER_COUNT, wiring.quantized)
@@ -126,12 +129,13 @@ def _recording(
     signals: Mapping[str, Signal],
 ) -> Recording:
     facts = RigFacts(
-        firmware_gain=FIRMWARE_GAIN, trajectory="+".join(part.name for part in excitation.parts), base=truth.base
+        firmware_gain=truth.firmware_gain, trajectory="+".join(part.name for part in excitation.parts), base=truth.base
     )
     extra = {
         "note": f"simulated by frasa-sysid simulate --robot, seed {truth.seed}; no robot was recorded",
         "model": path.name,
         "seed": truth.seed,
+        "hold": excitation.hold,
         "parts": [[part.name, part.start, part.end, part.purpose] for part in excitation.parts],
     }
     known = parameters_of(truth, joints.classes, body.trunk_mass, body.trunk_com)

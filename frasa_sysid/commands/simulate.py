@@ -15,7 +15,7 @@ from frasa_sysid.writer import write_mcap
 SCHEMA = "frasa.simulate/1"
 _LONGEST_DELAY = 0.03  # [s] beyond it no servo bus is worth modelling
 _BENCH_ONLY = ("delay", "position_age", "duty_age")
-_ROBOT_ONLY = ("base", "seconds", "excitation", "model", "roll", "pitch")
+_ROBOT_ONLY = ("base", "seconds", "excitation", "model", "roll", "pitch", "holds", "firmware_gain")
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -3,8 +3,9 @@
     python tests/benchmarks/bench_robot_fit.py [ROBOTS] [SECONDS] [--base fixed|floating]
 
 Each robot is drawn and simulated by `frasa_sysid.simulate_robot` (0.25 ms physics, 1 kHz firmware, delays, zeros, sag,
-counts, jitter and bus loss; equations of its own), and fitted with the stored bench fits frozen. Printed: errors of
-delays, scales and zeros, how often 95 % intervals hold the truth, and the time a fit takes.
+counts, jitter and bus loss; equations of its own), and fitted with the stored bench fits frozen; held in the
+recommended ways, SECONDS in all. Printed: errors of delays, scales and zeros, how often 95 % intervals hold the truth,
+and the time a fit takes.
 """
 
 import argparse
@@ -18,10 +19,12 @@ from frasa_sysid import stored_fit
 from frasa_sysid.excitation_hung import design as hung
 from frasa_sysid.excitation_sizes import fitted_sizes
 from frasa_sysid.excitation_standing import design as standing
+from frasa_sysid.holds import RECOMMENDED, RECOMMENDED_GAIN, part_seconds
 from frasa_sysid.recording import Recording
 from frasa_sysid.robot_body import joints_of
 from frasa_sysid.robot_fit import fit_robot
 from frasa_sysid.robot_truth import draw
+from frasa_sysid.robot_truth import held as turned
 from frasa_sysid.simulate_robot import simulate_robot
 
 ROOT = Path(__file__).parents[2] / "robot_model"
@@ -43,6 +46,7 @@ def main() -> None:
     parser.add_argument("robots", nargs="?", type=int, default=30)
     parser.add_argument("seconds", nargs="?", type=float, default=30.0)
     parser.add_argument("--base", default="fixed")
+    parser.add_argument("--firmware-gain", type=float, default=RECOMMENDED_GAIN, help="P of a held robot's servos")
     args = parser.parse_args()
     fits = [stored_fit.load(ROOT / "fits" / f"{servo}.json") for servo in ("mx106", "mx64")]
     rows = defaultdict(list)
@@ -50,15 +54,21 @@ def main() -> None:
     model = ROOT / "nominal.xml"
     joints = joints_of(model)
     if args.base == "fixed":
-        excitation = hung(joints, fitted_sizes(model, joints, args.seconds)[0], args.seconds)
+        each = part_seconds(args.seconds, RECOMMENDED)
+        how = [{"hold": hold, "firmware_gain": args.firmware_gain} for hold in RECOMMENDED]
+        excitations = [hung(joints, fitted_sizes(model, joints, each, **one)[0], each, **one) for one in how]
     else:
-        excitation = standing(joints, args.seconds)
+        excitations = [standing(joints, args.seconds)]
     for seed in range(args.robots):
         drawn = draw(args.base, seed, joints.classes, joints.names)
-        recording = simulate_robot(model, joints, drawn, excitation, args.seconds, f"robot{seed}.mcap")
-        truth = truth_of(recording)
+        recordings = [
+            simulate_robot(model, joints, robot, one, one.seconds, f"robot{seed}.mcap#{i}", take=i)
+            for i, one in enumerate(excitations)
+            for robot in [turned(drawn, one.hold, one.firmware_gain)]
+        ]
+        truth = truth_of(recordings[0])
         started = time.monotonic()
-        found = fit_robot(model, fits, [recording])
+        found = fit_robot(model, fits, recordings)
         times.append(time.monotonic() - started)
         before.append(found.errors["nominal"]["position"][0])
         after.append(found.errors["fitted"]["position"][0])

@@ -98,7 +98,7 @@ def test_another_robot_does_not_touch_itself_either(path, joints, fitted):
 
 @pytest.fixture(scope="module")
 def told(path, joints, fitted):
-    return information(path, joints, design(joints, fitted[0], 10.0))
+    return information(path, joints, [design(joints, fitted[0], 10.0)])
 
 
 def test_information_follows_the_motion(path, joints, fitted, told):
@@ -111,7 +111,7 @@ def test_information_follows_the_motion(path, joints, fitted, told):
     arms = np.array(["shoulder" in name or "elbow" in name or "head" in name for name in joints.names])
     hips = np.array(["hip_yaw" in name for name in joints.names])
     still = replace(sizes, **{name: getattr(sizes, name) * ~(arms | hips) for name in ("swing", "quick", "step")})
-    less = information(path, joints, design(joints, still, 10.0))
+    less = information(path, joints, [design(joints, still, 10.0)])
     quiet = dict(zip(less.names, less.sd, strict=True))
     assert quiet["mx64.damping_scale"] > 5 * sd["mx64.damping_scale"]
     assert quiet["mx106.damping_scale"] < 1.5 * sd["mx106.damping_scale"]
@@ -146,7 +146,7 @@ def command(*words):
 def test_command_line_and_simulation_of_its_file(path, joints, tmp_path, capsys):
     """`excite` writes goals for some joints; `simulate --excitation` sends them."""
     out, log = tmp_path / "e.mcap", tmp_path / "r.mcap"
-    words = ("excite", "--model", path, "--out", out, "--csv", "--seconds", 10)
+    words = ("excite", "--model", path, "--out", out, "--csv", "--holds", "upright", "--seconds", 10)
     assert command(*words, "--joints", "left_elbow", "head_yaw", "--parameters", "mx64.delay", "--json") == 0
     told = json.loads(capsys.readouterr().out)
     assert told["parameters"]["mx64.delay"]["verdict"] == "good"
@@ -167,7 +167,8 @@ def test_command_line_and_simulation_of_its_file(path, joints, tmp_path, capsys)
         (("--parameters", "sensor.gyro_delay"), "the trunk is held still"),
         (("--parameters", "colour"), "unknown parameter 'colour'"),
         (("--joints", "left_wing"), "left_wing"),
-        (("--seconds", "1"), "expected 10 to 120"),
+        (("--seconds", "1"), "expected 20 to 120"),
+        (("--holds", "upright,upside-down"), "expected some of upright,face-down"),
         (("--base", "floating", "--joints", "left_knee"), "need --base fixed"),
     ],
 )
