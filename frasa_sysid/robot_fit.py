@@ -25,7 +25,8 @@ from frasa_sysid.robot_problem import DEFAULT_GROUPS, FreeNumber, RobotProblem, 
 from frasa_sysid.robot_residuals import Comparison
 from frasa_sysid.robot_rig import Base, RobotRun, robot_run
 from frasa_sysid.robot_simulator import RobotSimulator, split_pieces
-from frasa_sysid.robot_solve import Settled, Stack, Tell, covariance_of, settle_robot
+from frasa_sysid.robot_solve import Settled, Tell, covariance_of, settle_robot
+from frasa_sysid.robot_stack import Stack
 from frasa_sysid.stored_fit import StoredFit
 
 _SILENT = 0.7  # of the prior's width that an interval must stay below to say anything
@@ -186,7 +187,7 @@ def _comparisons(
 def _errors(problem: RobotProblem, comparisons: Sequence[Comparison], x: FloatArray) -> dict[str, tuple[float, float]]:
     """Mean absolute and root mean square error by channel, in the channel's unit."""
     stack = Stack(comparisons)
-    residuals = stack.residuals(problem, x[None], x)[0]
+    residuals = stack.raw(problem, x[None], x)[0]
     channels = np.array([name.split()[1] for name in stack.layout.names])[stack.layout.column]
     found = {}
     for name in dict.fromkeys(channels.tolist()):

@@ -1,10 +1,11 @@
 """Virtual robots of random truth: errors and intervals of a whole-robot fit.
 
-    python tests/benchmarks/bench_robot_fit.py [ROBOTS] [SECONDS] [--base fixed|floating]
+    python tests/benchmarks/bench_robot_fit.py [ROBOTS] [SECONDS] [--base fixed|floating|both] [--groups GROUP ...]
 
 Each robot is drawn and simulated by `frasa_sysid.simulate_robot` (0.25 ms physics, 1 kHz firmware, delays, zeros, sag,
-counts, jitter and bus loss; equations of its own), and fitted with the stored bench fits frozen. Printed: errors of
-delays, scales and zeros, how often 95 % intervals hold the truth, and the time a fit takes.
+counts, jitter and bus loss; equations of its own), and fitted with the stored bench fits frozen; with `both`, from a
+log of the robot held and one of it on the ground. Printed: errors of delays, scales, zeros and trunk, how often 95 %
+intervals hold the truth, and the time a fit takes.
 """
 
 import argparse
@@ -21,7 +22,8 @@ from frasa_sysid.excitation_standing import design as standing
 from frasa_sysid.recording import Recording
 from frasa_sysid.robot_body import joints_of
 from frasa_sysid.robot_fit import fit_robot
-from frasa_sysid.robot_truth import draw
+from frasa_sysid.robot_problem import DEFAULT_GROUPS, GROUPS
+from frasa_sysid.robot_truth import Base, draw
 from frasa_sysid.simulate_robot import simulate_robot
 
 ROOT = Path(__file__).parents[2] / "robot_model"
@@ -37,28 +39,50 @@ def truth_of(recording: Recording) -> dict[str, float]:
     return truth
 
 
+def _unit(kind: str) -> tuple[str, float]:
+    if "delay" in kind:
+        return "ms", 1e3
+    if "shift" in kind:
+        return "mm", 1e3
+    return ("deg", 57.29578) if kind == "zero" else ("%", 100.0)
+
+
 def main() -> None:
     """Run the study."""
     parser = argparse.ArgumentParser()
     parser.add_argument("robots", nargs="?", type=int, default=30)
     parser.add_argument("seconds", nargs="?", type=float, default=30.0)
-    parser.add_argument("--base", default="fixed")
+    parser.add_argument("--base", choices=("fixed", "floating", "both"), default="fixed")
+    parser.add_argument("--groups", nargs="+", choices=GROUPS, default=list(DEFAULT_GROUPS))
+    parser.add_argument("--first", type=int, default=0, help="seed of the first robot")
     args = parser.parse_args()
     fits = [stored_fit.load(ROOT / "fits" / f"{servo}.json") for servo in ("mx106", "mx64")]
     rows = defaultdict(list)
     times, before, after = [], [], []
     model = ROOT / "nominal.xml"
     joints = joints_of(model)
-    if args.base == "fixed":
-        excitation = hung(joints, fitted_sizes(model, joints, args.seconds)[0], args.seconds)
-    else:
-        excitation = standing(joints, args.seconds)
-    for seed in range(args.robots):
-        drawn = draw(args.base, seed, joints.classes, joints.names)
-        recording = simulate_robot(model, joints, drawn, excitation, args.seconds, f"robot{seed}.mcap")
-        truth = truth_of(recording)
+    bases: tuple[Base, ...] = ("fixed", "floating") if args.base == "both" else (args.base,)
+    excitations = {
+        base: hung(joints, fitted_sizes(model, joints, args.seconds)[0], args.seconds)
+        if base == "fixed"
+        else standing(joints, args.seconds)
+        for base in bases
+    }
+    for seed in range(args.first, args.first + args.robots):
+        recordings = [
+            simulate_robot(
+                model,
+                joints,
+                draw(base, seed, joints.classes, joints.names),
+                excitations[base],
+                args.seconds,
+                f"robot{seed}_{base}.mcap",
+            )
+            for base in bases
+        ]
+        truth = {name: value for one in recordings for name, value in truth_of(one).items()}
         started = time.monotonic()
-        found = fit_robot(model, fits, [recording])
+        found = fit_robot(model, fits, recordings, groups=args.groups)
         times.append(time.monotonic() - started)
         before.append(found.errors["nominal"]["position"][0])
         after.append(found.errors["fitted"]["position"][0])
@@ -78,7 +102,7 @@ def main() -> None:
         said = [row for row in found_rows if row[2] in ("identified", "known roughly")]
         held = [error <= half for error, half, _ in said]
         inside, total = inside + sum(held), total + len(held)
-        unit, scale = ("ms", 1e3) if "delay" in kind else ("deg", 57.29578) if kind == "zero" else ("%", 100.0)
+        unit, scale = _unit(kind)
         if said:
             errors = np.array([row[0] for row in said]) * scale
             print(f"{kind:26s} {len(said):3d}/{len(found_rows):3d} {np.median(errors):11.3f} {unit:3s}"

@@ -284,3 +284,29 @@ def test_a_quaternion_and_its_negative_are_one_orientation(robot_model_dir, reco
     plain = robot_run(recording, model).channels["orientation"].y
     found = robot_run(replace(recording, signals={**recording.signals, "orientation": jumping}), model)
     assert found.channels["orientation"].y == pytest.approx(plain, abs=1e-15)
+
+
+def test_a_robot_put_down_stands_still(standing_robot, frozen):
+    """Each candidate starts on its own feet: no bump at the start, whatever its zeros are."""
+    recording = standing_robot(1.5, "standing.mcap")
+    with RobotSimulator(frozen, "floating", 1) as simulator:
+        run = robot_run(recording, simulator.model)
+        piece = pieces_of(run, simulator.timestep, 0.4, 0.1)[0]
+        plain, turned = Candidate(), Candidate(zeros={"left_ankle_pitch": 0.02, "right_hip_roll": -0.02})
+        found = {c: states for c, _, states in simulator.simulate([piece], [plain, turned], Candidate())}
+        trunk = simulator.model.nq + int(simulator.model.jnt_dofadr[0])
+        for states in found.values():
+            assert np.abs(states[:40, trunk + 2]).max() < 0.01  # [m/s] up or down
+        assert found[0][0, 2] != pytest.approx(found[1][0, 2], abs=1e-5)
+
+
+def test_candidates_that_are_read_differently_are_one_robot(frozen, recording):
+    """Other ages of channels, the same states; another zero, other states."""
+    with RobotSimulator(frozen, "fixed", 1) as simulator:
+        run = robot_run(recording, simulator.model)
+        pieces = pieces_of(run, simulator.timestep, 1.0, 0.3)[:2]
+        several = [Candidate(), Candidate(ages={"velocity": 0.02}), Candidate(zeros={"left_knee": 0.01})]
+        found = {(c, p): states for c, p, states in simulator.simulate(pieces, several, Candidate())}
+    assert len(found) == 6
+    assert found[0, 0] is found[1, 0]
+    assert not np.array_equal(found[0, 1], found[2, 1])
