@@ -21,7 +21,7 @@ from frasa_sysid.recording import FloatArray, Recording
 from frasa_sysid.robot_candidate import candidate_of
 from frasa_sysid.robot_fit_record import RobotEstimate
 from frasa_sysid.robot_numbers import COMMAND_DELAY
-from frasa_sysid.robot_problem import DEFAULT_GROUPS, FreeNumber, RobotProblem, state_robot_problem
+from frasa_sysid.robot_problem import FreeNumber, RobotProblem, state_robot_problem
 from frasa_sysid.robot_residuals import Comparison
 from frasa_sysid.robot_rig import Base, RobotRun, robot_run
 from frasa_sysid.robot_simulator import RobotSimulator, split_pieces
@@ -29,6 +29,7 @@ from frasa_sysid.robot_solve import Settled, Tell, covariance_of, settle_robot
 from frasa_sysid.robot_stack import Stack
 from frasa_sysid.stored_fit import StoredFit
 
+COARSE = 3  # of so many pieces on the ground, one leads the first steps
 _SILENT = 0.7  # of the prior's width that an interval must stay below to say anything
 _TOGETHER = 0.95  # correlation beyond which only a combination is known
 # [steps] that a model's delay is longer than the physical one
@@ -110,7 +111,7 @@ def fit_robot(
     fits: Sequence[StoredFit],
     recordings: Sequence[Recording],
     base: Base | None = None,
-    groups: Sequence[str] = DEFAULT_GROUPS,
+    groups: Sequence[str] | None = None,
     position_delay: float = 0.0,
     hold_out: float = 0.0,
     threads: int | None = None,
@@ -126,7 +127,7 @@ def fit_robot(
         fits: frozen bench fits, applied to it.
         recordings: of that robot, held or on the ground.
         base: where a log does not say.
-        groups: what is free; see `robot_problem.GROUPS`.
+        groups: what is free, of `robot_problem.GROUPS`; by default `default_groups`.
         position_delay: age of a position at its stamp [s]; only its sum with the command delay shows.
         hold_out: share of every recording, its end, that is not fitted but only compared.
         threads: by default one per core.
@@ -150,6 +151,8 @@ def fit_robot(
         own = candidate_of(model).command_delays
         problem = state_robot_problem(runs, servo_classes(model), delays, float(trunk), groups, seed, own)
         fitted, held = _comparisons(simulators, runs, hold_out)
+        if "floating" in simulators and start is None:
+            start = _roughly(problem, fitted, tell, keep)
         settled = settle_robot(problem, Stack(fitted), start, tell, keep)
         logged, covariance, half = covariance_of(problem, settled.linear)
         points = {"nominal": problem.start(), "fitted": settled.x}
@@ -182,6 +185,14 @@ def _comparisons(
         fitted.append(Comparison(simulator, kept))
         held += [Comparison(simulator, left)] if left else []
     return fitted, held
+
+
+def _roughly(
+    problem: RobotProblem, comparisons: Sequence[Comparison], tell: Tell, keep: Callable[[FloatArray, int], None]
+) -> FloatArray:
+    """Where a part of the pieces leads, (n,): most of the way, at a part of the price that contacts have."""
+    some = [Comparison(one.simulator, one.pieces[::COARSE]) for one in comparisons]
+    return settle_robot(problem, Stack(some), None, tell, keep, weigh=False).x
 
 
 def _errors(problem: RobotProblem, comparisons: Sequence[Comparison], x: FloatArray) -> dict[str, tuple[float, float]]:

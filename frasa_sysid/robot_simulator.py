@@ -193,7 +193,11 @@ def delayed(goal: FloatArray, first: int, steps: int, late: float) -> FloatArray
 def bare_model(path: Path, base: Base) -> mujoco.MjModel:
     """The robot as it is simulated here, friction laws on and joints that do not creep; see `robot_body.bare`."""
     load_model(path)  # one clear line for what cannot be compiled; installs the friction law
-    model = bare(path, held=base == "fixed")
+    return firm(bare(path, held=base == "fixed"), base)
+
+
+def firm(model: mujoco.MjModel, base: Base) -> mujoco.MjModel:
+    """A model, changed in place, in which neither joints at rest nor feet creep."""
     model.dof_solref[:] = [2.0 * model.opt.timestep, 1.0]
     model.dof_solimp[:] = [_FIRM[base], _FIRM[base], 0.001, 0.5, 2.0]
     model.opt.noslip_iterations = 0 if base == "fixed" else max(model.opt.noslip_iterations, 1)

@@ -25,7 +25,7 @@ ITERATIONS = 12
 _HUBER = 3.0  # noise units beyond which a residual counts as model error
 _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)  # of a step that are tried
 _BOLD = 2  # of them are tried at once, the others only where those do not help
-_WORTHWHILE = 0.02  # relative gain in cost below which slopes are computed anew
+_WORTHWHILE = 0.2  # relative gain in cost below which slopes are computed anew
 _ENOUGH = 1e-3  # relative gain in cost below which it ends
 _SETTLED_UNITS = 6  # iterations in which noise units follow the residuals
 _DAMPING = 1e-3  # of the curvature's diagonal
@@ -79,6 +79,7 @@ def settle_robot(
     start: FloatArray | None = None,
     tell: Tell = lambda stage, count, best: None,
     keep: Callable[[FloatArray, int], None] = lambda x, iteration: None,
+    weigh: bool = True,
 ) -> Settled:
     """Fit the free numbers.
 
@@ -88,6 +89,7 @@ def settle_robot(
         start: where to begin, (n,); by default the problem's own.
         tell: told (stage, robots simulated, cost).
         keep: told the point after each step, to resume from.
+        weigh: end with slopes that intervals can be had from; without, they are those of the last steps.
     """
     x = problem.start() if start is None else start
     tell("slopes", 0, np.inf)
@@ -112,6 +114,8 @@ def settle_robot(
             tell("slopes", used, cost)
             linear = linearise_robot(problem, stack, linear.x, linear.units, central=False)
             used += x.size + 1
+    if not weigh:
+        return Settled(linear.x, linear, float(cost), iteration, used, converged)
     tell("weighing the evidence", used, cost)
     linear = linearise_robot(problem, stack, linear.x)
     before = _cost(problem, stack.layout, linear.residuals, linear.units, linear.x)

@@ -22,7 +22,7 @@ from frasa_sysid.excitation_standing import design as standing
 from frasa_sysid.recording import Recording
 from frasa_sysid.robot_body import joints_of
 from frasa_sysid.robot_fit import fit_robot
-from frasa_sysid.robot_problem import DEFAULT_GROUPS, GROUPS
+from frasa_sysid.robot_problem import GROUPS
 from frasa_sysid.robot_truth import Base, draw
 from frasa_sysid.simulate_robot import simulate_robot
 
@@ -53,7 +53,7 @@ def main() -> None:
     parser.add_argument("robots", nargs="?", type=int, default=30)
     parser.add_argument("seconds", nargs="?", type=float, default=30.0)
     parser.add_argument("--base", choices=("fixed", "floating", "both"), default="fixed")
-    parser.add_argument("--groups", nargs="+", choices=GROUPS, default=list(DEFAULT_GROUPS))
+    parser.add_argument("--groups", nargs="+", choices=GROUPS, help="what is free [trunk on the ground only]")
     parser.add_argument("--first", type=int, default=0, help="seed of the first robot")
     args = parser.parse_args()
     fits = [stored_fit.load(ROOT / "fits" / f"{servo}.json") for servo in ("mx106", "mx64")]
