@@ -5,6 +5,7 @@ half a step old already, so in the model a command delay is h/2 longer and the d
 gyro h/2 shorter; those numbers are published.
 """
 
+import copy
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -27,6 +28,7 @@ from frasa_sysid.robot_rig import Base, RobotRun, robot_run
 from frasa_sysid.robot_simulator import RobotSimulator, split_pieces
 from frasa_sysid.robot_solve import Settled, Tell, covariance_of, settle_robot
 from frasa_sysid.robot_stack import Stack
+from frasa_sysid.robot_stance import level_zeros
 from frasa_sysid.stored_fit import StoredFit
 
 COARSE = 3  # of so many pieces on the ground, one leads the first steps
@@ -190,9 +192,16 @@ def _comparisons(
 def _roughly(
     problem: RobotProblem, comparisons: Sequence[Comparison], tell: Tell, keep: Callable[[FloatArray, int], None]
 ) -> FloatArray:
-    """Where a part of the pieces leads, (n,): most of the way, at a part of the price that contacts have."""
+    """Where flat feet, then a part of the pieces lead, (n,): most of the way, at a part of the price of contacts."""
+    x = problem.start()
+    for one in comparisons:
+        run = one.pieces[0].run
+        if run.base == "floating":
+            here = one.simulator
+            zeros = level_zeros(copy.copy(here.model), here.writer, here.trunk, run, problem.ages)
+            x = np.array([zeros.get(q.name.removesuffix(".zero"), v) for q, v in zip(problem.free, x, strict=True)])
     some = [Comparison(one.simulator, one.pieces[::COARSE]) for one in comparisons]
-    return settle_robot(problem, Stack(some), None, tell, keep, weigh=False).x
+    return settle_robot(problem, Stack(some), x, tell, keep, weigh=False).x
 
 
 def _errors(problem: RobotProblem, comparisons: Sequence[Comparison], x: FloatArray) -> dict[str, tuple[float, float]]:

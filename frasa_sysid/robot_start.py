@@ -58,11 +58,20 @@ def put_down(model: mujoco.MjModel, data: mujoco.MjData, trunk: int, qpos: Float
         qpos: joints and the trunk's orientation, shape (nq,).
     """
     place = model.jnt_qposadr[model.body_jntadr[trunk]]
+    placed = np.array(qpos)
+    placed[place : place + 3] = 0.0
+    placed[place + 2] = -bottoms(model, data, placed).min() - _BURIED
+    return placed
+
+
+def bottoms(model: mujoco.MjModel, data: mujoco.MjData, qpos: FloatArray) -> FloatArray:
+    """Height of the lowest corner of the box around each geom of the robot that collides [m], shape (g,)."""
     data.qpos[:] = qpos
-    data.qpos[place : place + 3] = 0.0
     mujoco.mj_kinematics(model, data)
-    data.qpos[place + 2] = -_lowest(model, data) - _BURIED
-    return np.array(data.qpos)
+    geoms = np.flatnonzero((model.geom_bodyid > 0) & (model.geom_contype > 0))
+    up = data.geom_xmat[geoms].reshape(-1, 3, 3)[:, 2]
+    centre, half = model.geom_aabb[geoms, :3], model.geom_aabb[geoms, 3:]
+    return np.asarray(data.geom_xpos[geoms, 2] + np.sum(up * centre - np.abs(up) * half, axis=1))
 
 
 def gravity_of(run: RobotRun, model: mujoco.MjModel) -> FloatArray:
@@ -77,11 +86,3 @@ def gravity_of(run: RobotRun, model: mujoco.MjModel) -> FloatArray:
     # The third row of the rotation: the world's vertical as the trunk sees it.
     up = np.array([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z]).mean(axis=1)
     return np.asarray(-up / np.linalg.norm(up) * np.linalg.norm(model.opt.gravity))
-
-
-def _lowest(model: mujoco.MjModel, data: mujoco.MjData) -> float:
-    """Height of the lowest corner of all boxes around what collides [m]."""
-    geoms = np.flatnonzero((model.geom_bodyid > 0) & (model.geom_contype > 0))
-    up = data.geom_xmat[geoms].reshape(-1, 3, 3)[:, 2]
-    centre, half = model.geom_aabb[geoms, :3], model.geom_aabb[geoms, 3:]
-    return float(np.min(data.geom_xpos[geoms, 2] + np.sum(up * centre - np.abs(up) * half, axis=1)))

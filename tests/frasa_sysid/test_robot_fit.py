@@ -21,6 +21,7 @@ from frasa_sysid.robot_problem import state_robot_problem
 from frasa_sysid.robot_residuals import Comparison, tilt, whitened
 from frasa_sysid.robot_rig import robot_run
 from frasa_sysid.robot_simulator import RobotSimulator, bare_model, delayed, firm, pieces_of
+from frasa_sysid.robot_stance import level_zeros
 from frasa_sysid.writer import write_mcap
 
 GROUPS = ("delays", "gain", "damping", "friction")
@@ -348,3 +349,18 @@ def test_a_slow_error_of_an_orientation_is_whitened(standing_robot, frozen):
     assert (constant[firsts] == 1.0).all()
     assert np.abs(constant[tilts & ~firsts]).max() < 0.2
     assert (constant[~tilts] == 1.0).all()
+
+
+def test_flat_feet_tell_zeros(standing_robot, frozen):
+    """An ankle whose encoder is turned shows in a standing robot's feet, before anything is simulated."""
+    recording = standing_robot(1.5, "standing.mcap")
+    position = recording.signals["position"]
+    y = position.y + 0.03 * (np.array(position.columns) == "left_ankle_pitch")
+    turned = Signal("position", "rad", position.t, y, position.columns)
+    pitch = []
+    with RobotSimulator(frozen, "floating", 1) as simulator:
+        for one in (recording, replace(recording, signals={**recording.signals, "position": turned})):
+            run = robot_run(one, simulator.model)
+            zeros = level_zeros(bare_model(frozen, "floating"), simulator.writer, simulator.trunk, run, {})
+            pitch.append(sum(zeros[f"left_{name}"] for name in ("hip_pitch", "knee", "ankle_pitch")))
+    assert pitch[1] - pitch[0] == pytest.approx(0.03, abs=0.005)
