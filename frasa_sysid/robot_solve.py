@@ -27,6 +27,7 @@ _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)  # of a step that are tried
 _BOLD = 2  # of them are tried at once, the others only where those do not help
 _WORTHWHILE = 0.2  # relative gain in cost below which slopes are computed anew
 _ENOUGH = 1e-3  # relative gain in cost below which it ends
+_ROUGHLY = 2e-2  # likewise, of a fit that another one goes on from
 _SETTLED_UNITS = 6  # iterations in which noise units follow the residuals
 _DAMPING = 1e-3  # of the curvature's diagonal
 Tell = Callable[[str, int, float], None]
@@ -105,7 +106,7 @@ def settle_robot(
         linear = _weighted(moved.x, moved.residuals, moved.slopes, units, stack.layout)
         keep(linear.x, iteration)
         tell("steps", used, cost)
-        converged = fresh and gained < _ENOUGH * before
+        converged = fresh and gained < (_ENOUGH if weigh else _ROUGHLY) * before
         if converged:
             break
         # Slopes serve while they find descent; computing them costs ten times as much as a step.
