@@ -5,6 +5,7 @@ half a step old already, so in the model a command delay is h/2 longer and the d
 gyro h/2 shorter; those numbers are published.
 """
 
+import copy
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -21,13 +22,16 @@ from frasa_sysid.recording import FloatArray, Recording
 from frasa_sysid.robot_candidate import candidate_of
 from frasa_sysid.robot_fit_record import RobotEstimate
 from frasa_sysid.robot_numbers import COMMAND_DELAY
-from frasa_sysid.robot_problem import DEFAULT_GROUPS, FreeNumber, RobotProblem, state_robot_problem
+from frasa_sysid.robot_problem import FreeNumber, RobotProblem, state_robot_problem
 from frasa_sysid.robot_residuals import Comparison
 from frasa_sysid.robot_rig import Base, RobotRun, robot_run
 from frasa_sysid.robot_simulator import RobotSimulator, split_pieces
-from frasa_sysid.robot_solve import Settled, Stack, Tell, covariance_of, settle_robot
+from frasa_sysid.robot_solve import Settled, Tell, covariance_of, settle_robot
+from frasa_sysid.robot_stack import Stack
+from frasa_sysid.robot_stance import level_zeros
 from frasa_sysid.stored_fit import StoredFit
 
+COARSE = 3  # of so many pieces on the ground, one leads the first steps
 _SILENT = 0.7  # of the prior's width that an interval must stay below to say anything
 _TOGETHER = 0.95  # correlation beyond which only a combination is known
 # [steps] that a model's delay is longer than the physical one
@@ -109,7 +113,7 @@ def fit_robot(
     fits: Sequence[StoredFit],
     recordings: Sequence[Recording],
     base: Base | None = None,
-    groups: Sequence[str] = DEFAULT_GROUPS,
+    groups: Sequence[str] | None = None,
     position_delay: float = 0.0,
     hold_out: float = 0.0,
     threads: int | None = None,
@@ -125,7 +129,7 @@ def fit_robot(
         fits: frozen bench fits, applied to it.
         recordings: of that robot, held or on the ground.
         base: where a log does not say.
-        groups: what is free; see `robot_problem.GROUPS`.
+        groups: what is free, of `robot_problem.GROUPS`; by default `default_groups`.
         position_delay: age of a position at its stamp [s]; only its sum with the command delay shows.
         hold_out: share of every recording, its end, that is not fitted but only compared.
         threads: by default one per core.
@@ -149,6 +153,8 @@ def fit_robot(
         own = candidate_of(model).command_delays
         problem = state_robot_problem(runs, servo_classes(model), delays, float(trunk), groups, seed, own)
         fitted, held = _comparisons(simulators, runs, hold_out)
+        if "floating" in simulators and start is None:
+            start = _roughly(problem, fitted, tell, keep)
         settled = settle_robot(problem, Stack(fitted), start, tell, keep)
         logged, covariance, half = covariance_of(problem, settled.linear)
         points = {"nominal": problem.start(), "fitted": settled.x}
@@ -183,10 +189,25 @@ def _comparisons(
     return fitted, held
 
 
+def _roughly(
+    problem: RobotProblem, comparisons: Sequence[Comparison], tell: Tell, keep: Callable[[FloatArray, int], None]
+) -> FloatArray:
+    """Where flat feet, then a part of the pieces lead, (n,): most of the way, at a part of the price of contacts."""
+    x = problem.start()
+    for one in comparisons:
+        run = one.pieces[0].run
+        if run.base == "floating":
+            here = one.simulator
+            zeros = level_zeros(copy.copy(here.model), here.writer, here.trunk, run, problem.ages)
+            x = np.array([zeros.get(q.name.removesuffix(".zero"), v) for q, v in zip(problem.free, x, strict=True)])
+    some = [Comparison(one.simulator, one.pieces[::COARSE]) for one in comparisons]
+    return settle_robot(problem, Stack(some), x, tell, keep, weigh=False).x
+
+
 def _errors(problem: RobotProblem, comparisons: Sequence[Comparison], x: FloatArray) -> dict[str, tuple[float, float]]:
     """Mean absolute and root mean square error by channel, in the channel's unit."""
     stack = Stack(comparisons)
-    residuals = stack.residuals(problem, x[None], x)[0]
+    residuals = stack.raw(problem, x[None], x)[0]
     channels = np.array([name.split()[1] for name in stack.layout.names])[stack.layout.column]
     found = {}
     for name in dict.fromkeys(channels.tolist()):

@@ -5,7 +5,7 @@ is; a number whose interval is hardly narrower than its prior's is called not ex
 is never taken for a measurement.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -47,9 +47,11 @@ class Kind:
 
 DELAY = Kind("s", 0.0, 0.12, 0.03, 3e-3, 1e-3, 2.5e-4)
 ZERO = Kind("rad", -0.2, 0.2, 0.03, 0.02, 3.5e-3)
-# Standing on bent legs a joint is held by its friction as much as by its gain: a model whose friction creeps a
-# little, as MuJoCo's does, moves the zeros of hip, knee and ankle against each other by tens of milliradians.
-ZERO_STANDING = Kind("rad", -0.2, 0.2, 0.03, 0.02, 3.5e-3, 0.015)
+# Standing on bent legs a joint is held by its friction as much as by its gain, and by feet on a floor that gives.
+ZERO_STANDING = Kind("rad", -0.2, 0.2, 0.03, 0.02, 3.5e-3, 1e-3)
+# With a trunk that may be a tenth too heavy, knees that hang lower than they should are taken for zeros of hip, knee
+# and ankle that add up to nothing.
+ZERO_LOADED = Kind("rad", -0.2, 0.2, 0.03, 0.02, 3.5e-3, 0.015)
 SCALE = Kind("1", 0.3, 3.0, 0.4, 0.12, 0.05, 0.015)
 MASS_SCALE = Kind("1", 0.5, 2.0, 0.2, 0.1, 0.03)
 SHIFT = Kind("m", -0.05, 0.05, 0.02, 0.01, 3e-3)
@@ -126,12 +128,21 @@ class RobotProblem:
         )
 
 
+def default_groups(bases: Iterable[str | None]) -> tuple[str, ...]:
+    """What is free when nobody says: on the ground the trunk too, since zeros stand or fall with its weight.
+
+    Args:
+        bases: of the logs.
+    """
+    return GROUPS if "floating" in bases else DEFAULT_GROUPS
+
+
 def state_robot_problem(
     runs: Sequence[RobotRun],
     servos: Sequence[str],
     delays: dict[str, float],
     trunk_mass: float,
-    groups: Sequence[str] = DEFAULT_GROUPS,
+    groups: Sequence[str] | None = None,
     seed: int = 0,
     command_delays: Mapping[str, float] | None = None,
 ) -> RobotProblem:
@@ -142,13 +153,14 @@ def state_robot_problem(
         servos: its servo classes.
         delays: what the model has before the fit [s]: `command`, `position`, `velocity`, `gyro`, `orientation`.
         trunk_mass: [kg].
-        groups: names out of `GROUPS`.
+        groups: names out of `GROUPS`; by default `default_groups`.
         seed: for the record.
         command_delays: of servo classes [s], which hold where the delays are not free.
 
     Raises:
         UsageError: an unknown group.
     """
+    groups = default_groups(run.base for run in runs) if groups is None else groups
     unknown = sorted(set(groups) - set(GROUPS))
     if unknown:
         raise UsageError(f"--free {', '.join(unknown)}: expected {', '.join(GROUPS)}")
@@ -158,7 +170,8 @@ def state_robot_problem(
         free += [FreeNumber(f"sensor.{name}_delay", DELAY, delays[name]) for name in _moving_channels(runs)]
     if "zeros" in groups:
         standing = any(run.base == "floating" for run in runs)
-        free += [FreeNumber(f"{joint}.zero", ZERO_STANDING if standing else ZERO, 0.0) for joint in runs[0].joints]
+        kind = ZERO if not standing else ZERO_STANDING if "trunk" in groups else ZERO_LOADED
+        free += [FreeNumber(f"{joint}.zero", kind, 0.0) for joint in runs[0].joints]
     for group in ("gain", "damping", "friction"):
         if group in groups:
             free += [FreeNumber(f"{servo}.{group}_scale", SCALE, 1.0) for servo in servos]

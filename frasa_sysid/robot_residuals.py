@@ -18,6 +18,9 @@ from frasa_sysid.robot_simulator import Piece, RobotSimulator
 
 CORRELATION_TIME = 0.05  # [s] within which residuals of one column count as one sample
 CLUSTER = 1.0  # [s]; residuals of one joint that are closer are not taken as independent evidence
+# [s] for which an attitude filter's error lasts (a guess; noise units follow what is left): left in, it would hide the
+# age of an orientation in a slow error that any quick motion tells apart.
+MEMORY = {"orientation": 0.5}
 DIVERGED = 10.0  # residual of a simulation that blew up, in the unit of its channel
 IntArray = npt.NDArray[np.int64]
 
@@ -32,6 +35,8 @@ class Layout:
         names: of the noise groups, such as `position left_knee`.
         floors: smallest noise unit of each group.
         thinning: samples of each group within the correlation time.
+        before: the residual one sample earlier in the same piece and group, -1 for none or no memory, shape (R,).
+        memory: correlation with that one, shape (R,).
     """
 
     column: IntArray
@@ -39,6 +44,8 @@ class Layout:
     names: tuple[str, ...]
     floors: FloatArray
     thinning: FloatArray
+    before: IntArray
+    memory: FloatArray
 
 
 @dataclass(frozen=True)
@@ -99,7 +106,7 @@ class Comparison:
     def _lay_out(self) -> Layout:
         names: dict[str, int] = {}
         clusters: dict[tuple[str, str, int], int] = {}
-        columns, owners = [], []
+        columns, owners, befores, memories, count = [], [], [], [], 0
         floors: dict[int, float] = {}
         rates: dict[int, float] = {}
         for piece, window in zip(self.pieces, self._windows, strict=True):
@@ -109,11 +116,15 @@ class Comparison:
                 groups = [names.setdefault(f"{name} {label}", len(names)) for label in labels]
                 for i, group in enumerate(groups):
                     floors[group] = _floor(channel, name, i)
-                    rates[group] = max(CORRELATION_TIME / float(np.median(np.diff(channel.t))), 1.0)
+                    rates[group] = _thinning(channel, name)
                 seconds = (channel.t[rows] // CLUSTER).astype(int)
                 keys = [[(piece.run.name, label, second) for label in labels] for second in seconds]
                 owners.append([clusters.setdefault(key, len(clusters)) for row in keys for key in row])
                 columns.append(np.tile(groups, rows.size))
+                before, memory = _memory(channel.t[rows], width, MEMORY.get(name))
+                befores.append(np.where(before >= 0, before + count, -1))
+                memories.append(memory)
+                count += memory.size
         order = range(len(names))
         return Layout(
             np.concatenate(columns).astype(np.int64),
@@ -121,6 +132,8 @@ class Comparison:
             tuple(names),
             np.array([floors[i] for i in order]),
             np.array([rates[i] for i in order]),
+            np.concatenate(befores),
+            np.concatenate(memories),
         )
 
     def residuals(self, candidates: Sequence[Candidate], centre: Candidate) -> FloatArray:
@@ -185,10 +198,33 @@ def tilt(quaternions: FloatArray) -> FloatArray:
     return np.column_stack([roll, pitch])
 
 
+def whitened(residuals: FloatArray, layout: Layout) -> FloatArray:
+    """Residuals (..., R) of the same size, less what their channel's memory carries on from the sample before."""
+    found = np.array(residuals)
+    late = np.flatnonzero(layout.before >= 0)
+    memory = layout.memory[late]
+    found[..., late] -= memory * residuals[..., layout.before[late]]
+    found[..., late] /= np.sqrt(1.0 - memory**2)
+    return found
+
+
 def noise_units(residuals: FloatArray, layout: Layout) -> FloatArray:
     """Robust size of each noise group's residuals, no less than its floor, shape (groups,)."""
     sizes = np.array([1.4826 * np.median(np.abs(residuals[layout.column == i])) for i in range(len(layout.names))])
     return np.asarray(np.maximum(sizes, layout.floors))
+
+
+def _thinning(channel: Channel, name: str) -> float:
+    return 1.0 if name in MEMORY else max(CORRELATION_TIME / float(np.median(np.diff(channel.t))), 1.0)
+
+
+def _memory(t: FloatArray, width: int, lasting: float | None) -> tuple[IntArray, FloatArray]:
+    """Which residual comes before each of a window's and how much of it is left, for T samples of some width."""
+    before, memory = np.full(t.size * width, -1, np.int64), np.zeros(t.size * width)
+    if lasting is not None:
+        before[width:] = np.arange((t.size - 1) * width)
+        memory[width:] = np.repeat(np.exp(-np.diff(t) / lasting), width)
+    return before, memory
 
 
 def _labels(piece: Piece, name: str, channel: Channel, width: int) -> list[str]:

@@ -9,7 +9,7 @@ stay small; delays here are physical, those of the model differ by half a step (
 import copy
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
@@ -24,11 +24,12 @@ from frasa_sysid.recording import FloatArray
 from frasa_sysid.robot_body import bare
 from frasa_sysid.robot_candidate import Candidate, Writer
 from frasa_sysid.robot_rig import Base, RobotRun
-from frasa_sysid.robot_start import gravity_of, start_states
+from frasa_sysid.robot_settle import Settler
+from frasa_sysid.robot_start import gravity_of, put_down, start_states
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 PIECE: dict[Base, float] = {"fixed": 2.0, "floating": 1.0}  # [s] compared; on the ground small errors grow
-WARM: dict[Base, float] = {"fixed": 0.3, "floating": 0.25}  # [s] before, for the start's errors to die out
+WARM: dict[Base, float] = {"fixed": 0.3, "floating": 0.1}  # [s] before, for the start's errors to die out
 _SHORTEST = 0.2  # [s] of a piece
 _JOBS = 64  # simulations in one call
 
@@ -88,6 +89,7 @@ class RobotSimulator:
         self._data = [mujoco.MjData(self.model) for _ in range(count)]
         self._rollout = rollout.Rollout(nthread=count)
         self._pool = [copy.copy(self.model) for _ in range(_JOBS)]
+        self._settler = Settler(self.model, self.trunk, _JOBS) if base == "floating" else None
 
     def __enter__(self) -> "RobotSimulator":
         return self
@@ -114,14 +116,20 @@ class RobotSimulator:
 
         Yields:
             Candidate, piece, and states (steps + 1, nq + nv), the start first; NaN once it diverged.
+            Candidates that differ in ages only are one robot, simulated once and read several times.
         """
+        robots: dict[str, list[int]] = {}
+        for c, one in enumerate(candidates):
+            robots.setdefault(repr(replace(one, ages={})), []).append(c)
+        same = {members[0]: members for members in robots.values()}
         starts = [start_states(self.model, self.trunk, piece.run, piece.first, ages.ages) for piece in pieces]
         gravities = {piece.run.name: gravity_of(piece.run, self.model) for piece in pieces}
-        pairs = [(c, p) for c in range(len(candidates)) for p in range(len(pieces))]
+        pairs = [(c, p) for c in same for p in range(len(pieces))]
         pairs.sort(key=lambda pair: pieces[pair[1]].end - pieces[pair[1]].first)
         for i in range(0, len(pairs), _JOBS):
             batch = pairs[i : i + _JOBS]
-            yield from self._batch(pieces, candidates, starts, gravities, batch)
+            for first, p, states in self._batch(pieces, candidates, starts, gravities, batch):
+                yield from ((c, p, states) for c in same[first])
 
     def _batch(
         self,
@@ -144,8 +152,7 @@ class RobotSimulator:
             self.writer.write(model, one, supply, piece.run.firmware_gain)
             model.opt.gravity[:] = gravities[piece.run.name]
         state = np.zeros((len(batch), mujoco.mj_stateSize(self.model, _STATE)))
-        for row, (_, p) in zip(state, batch, strict=True):
-            row[1 : 1 + starts[p].size] = starts[p]
+        state[:, 1 : 1 + self.model.nq + self.model.nv] = self._placed(candidates, starts, batch)
         models = self._pool[: len(batch)]
         paths, _ = self._rollout.rollout(models, self._data, state, commands)
         for (c, p), begin, path in zip(batch, state, paths, strict=True):
@@ -155,6 +162,19 @@ class RobotSimulator:
             expected = np.arange(count + 1) * self.timestep
             whole[np.abs(whole[:, 0] - expected) > 0.5 * self.timestep] = np.nan
             yield c, p, whole[:, 1:]
+
+    def _placed(
+        self, candidates: Sequence[Candidate], starts: Sequence[FloatArray], batch: Sequence[tuple[int, int]]
+    ) -> FloatArray:
+        """States to start from (jobs, nq + nv), on the ground each robot standing with its own zeros and trunk."""
+        found = np.array([starts[p] for _, p in batch])
+        if self._settler is None:
+            return found
+        nq = self.model.nq
+        for model, row, (c, _) in zip(self._settler.statues, found, batch, strict=False):
+            self.writer.write(model, candidates[c], self.writer.stated_supply, None)
+            row[:nq] = put_down(model, self._data[0], self.trunk, row[:nq])
+        return self._settler.settle(self._rollout, self._data, found[:, :nq], found[:, nq:])
 
 
 def delayed(goal: FloatArray, first: int, steps: int, late: float) -> FloatArray:

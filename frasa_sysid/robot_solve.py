@@ -18,13 +18,17 @@ from scipy import stats
 
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.robot_problem import RobotProblem
-from frasa_sysid.robot_residuals import Comparison, Layout, noise_units
+from frasa_sysid.robot_residuals import Layout, noise_units
+from frasa_sysid.robot_stack import Stack
 
 ITERATIONS = 12
 _HUBER = 3.0  # noise units beyond which a residual counts as model error
 _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)  # of a step that are tried
+_BOLD = 2  # of them are tried at once, the others only where those do not help
+_WORTHWHILE = 0.2  # relative gain in cost below which slopes are computed anew
 _ENOUGH = 1e-3  # relative gain in cost below which it ends
-_SETTLED_UNITS = 3  # iterations in which noise units follow the residuals
+_ROUGHLY = 2e-2  # likewise, of a fit that another one goes on from
+_SETTLED_UNITS = 6  # iterations in which noise units follow the residuals
 _DAMPING = 1e-3  # of the curvature's diagonal
 Tell = Callable[[str, int, float], None]
 
@@ -70,38 +74,13 @@ class Settled:
     converged: bool
 
 
-class Stack:
-    """Several comparisons (a held robot and one on the ground) as one."""
-
-    def __init__(self, comparisons: Sequence[Comparison]) -> None:
-        self._parts = list(comparisons)
-        columns, clusters, names = [], [], []
-        groups = owners = 0
-        for part in self._parts:
-            columns.append(part.layout.column + groups)
-            clusters.append(part.layout.cluster + owners)
-            names += [f"{part.simulator.base} {name}" for name in part.layout.names]
-            groups, owners = len(names), owners + int(part.layout.cluster.max()) + 1
-        self.layout = Layout(
-            np.concatenate(columns),
-            np.concatenate(clusters),
-            tuple(names),
-            np.concatenate([part.layout.floors for part in self._parts]),
-            np.concatenate([part.layout.thinning for part in self._parts]),
-        )
-
-    def residuals(self, problem: RobotProblem, points: FloatArray, centre: FloatArray) -> FloatArray:
-        """Residuals of points (m, n), pieces started as the centre (n,) has it: (m, R)."""
-        candidates = [problem.candidate(x) for x in points]
-        return np.hstack([part.residuals(candidates, problem.candidate(centre)) for part in self._parts])
-
-
 def settle_robot(
     problem: RobotProblem,
     stack: Stack,
     start: FloatArray | None = None,
     tell: Tell = lambda stage, count, best: None,
     keep: Callable[[FloatArray, int], None] = lambda x, iteration: None,
+    weigh: bool = True,
 ) -> Settled:
     """Fit the free numbers.
 
@@ -111,37 +90,71 @@ def settle_robot(
         start: where to begin, (n,); by default the problem's own.
         tell: told (stage, robots simulated, cost).
         keep: told the point after each step, to resume from.
+        weigh: end with slopes that intervals can be had from; without, they are those of the last steps.
     """
     x = problem.start() if start is None else start
-    low, high = problem.bounds()
-    used, cost, converged = 0, np.inf, False
-    units: FloatArray | None = None
-    iteration = 0
+    tell("slopes", 0, np.inf)
+    linear, fresh, converged = linearise_robot(problem, stack, x, central=False), True, False
+    used, cost, iteration = x.size + 1, np.inf, 0
     for iteration in range(1, ITERATIONS + 1):
-        tell("slopes", used, cost)
-        linear = linearise_robot(problem, stack, x, units, central=False)
+        before = _cost(problem, stack.layout, linear.residuals, linear.units, linear.x)
+        moved, cost, count = _moved(problem, stack, linear, before, _SHARES if fresh else _SHARES[:_BOLD])
+        used += count
+        gained = before - cost
         # Noise units that follow the residuals for ever would let the cost go round in circles.
-        units = linear.units if iteration >= _SETTLED_UNITS else None
-        A, g = normal_equations(problem, linear)
-        step = -np.linalg.solve(A + _DAMPING * np.diag(np.diag(A)), g)
-        trials = np.clip(x + np.outer(_SHARES, step), low, high)
-        costs = [_cost(problem, stack.layout, r, linear.units, t)
-                 for r, t in zip(stack.residuals(problem, trials, x), trials, strict=True)]  # fmt: skip
-        before = _cost(problem, stack.layout, linear.residuals, linear.units, x)
-        used += len(x) + 1 + len(trials)
-        best = int(np.argmin(costs))
-        cost = min(before, costs[best])
-        if costs[best] >= before:
-            converged = True
+        units = noise_units(moved.residuals, stack.layout) if iteration < _SETTLED_UNITS else linear.units
+        linear = _weighted(moved.x, moved.residuals, moved.slopes, units, stack.layout)
+        keep(linear.x, iteration)
+        tell("steps", used, cost)
+        converged = fresh and gained < (_ENOUGH if weigh else _ROUGHLY) * before
+        if converged:
             break
-        x = trials[best]
-        keep(x, iteration)
-        if before - costs[best] < _ENOUGH * before:
-            converged = True
-            break
+        # Slopes serve while they find descent; computing them costs ten times as much as a step.
+        fresh = gained < _WORTHWHILE * before
+        if fresh:
+            tell("slopes", used, cost)
+            linear = linearise_robot(problem, stack, linear.x, linear.units, central=False)
+            used += x.size + 1
+    if not weigh:
+        return Settled(linear.x, linear, float(cost), iteration, used, converged)
     tell("weighing the evidence", used, cost)
-    linear = linearise_robot(problem, stack, x)
-    return Settled(x, linear, float(cost), iteration, used + 2 * len(x) + 1, converged)
+    linear = linearise_robot(problem, stack, linear.x)
+    before = _cost(problem, stack.layout, linear.residuals, linear.units, linear.x)
+    linear, cost, count = _moved(problem, stack, linear, before, _SHARES[:1], learn=False)
+    return Settled(linear.x, linear, float(cost), iteration, used + 2 * x.size + 1 + count, converged)
+
+
+def _moved(
+    problem: RobotProblem, stack: Stack, linear: Linear, before: float, shares: Sequence[float], learn: bool = True
+) -> tuple[Linear, float, int]:
+    """The best point along a damped Gauss-Newton step, its cost, and how many robots were simulated for it.
+
+    Args:
+        problem: n numbers.
+        stack: residuals.
+        linear: where it is, and slopes.
+        before: cost there.
+        shares: of the step to try, the boldest first; later ones only where those do not help.
+        learn: mend the slopes by what the step showed (Broyden 1965).
+    """
+    A, g = normal_equations(problem, linear)
+    step = -np.linalg.solve(A + _DAMPING * np.diag(np.diag(A)), g)
+    used = 0
+    for some in filter(len, (shares[:_BOLD], shares[_BOLD:])):
+        trials = np.clip(linear.x + np.outer(some, step), *problem.bounds())
+        rows = stack.residuals(problem, trials, linear.x)
+        costs = [_cost(problem, stack.layout, r, linear.units, t) for r, t in zip(rows, trials, strict=True)]
+        used += len(trials)
+        best = int(np.argmin(costs))
+        if costs[best] < before:
+            slopes = linear.slopes
+            if learn:
+                way = (trials[best] - linear.x) * np.diag(A)  # in units of what the log can tell
+                surprise = rows[best] - linear.residuals - (trials[best] - linear.x) @ slopes
+                slopes = slopes + np.outer(way, surprise) / (way @ (trials[best] - linear.x))
+            moved = _weighted(trials[best], rows[best], slopes, linear.units, stack.layout)
+            return moved, costs[best], used
+    return linear, before, used
 
 
 def linearise_robot(
@@ -161,10 +174,13 @@ def linearise_robot(
     below = rows[1 + x.size :] if central else rows[0]
     slopes = (rows[1 : 1 + x.size] - below) / (up - down)[:, None]
     units = noise_units(rows[0], stack.layout) if units is None else units
-    scale = units[stack.layout.column]
-    robust = 1.0 / np.sqrt(1.0 + (rows[0] / scale / _HUBER) ** 2)
-    weights = robust / scale**2 / stack.layout.thinning[stack.layout.column]
-    return Linear(x, rows[0], slopes, units, weights, stack.layout)
+    return _weighted(x, rows[0], slopes, units, stack.layout)
+
+
+def _weighted(x: FloatArray, residuals: FloatArray, slopes: FloatArray, units: FloatArray, layout: Layout) -> Linear:
+    scale = units[layout.column]
+    robust = 1.0 / np.sqrt(1.0 + (residuals / scale / _HUBER) ** 2)
+    return Linear(x, residuals, slopes, units, robust / scale**2 / layout.thinning[layout.column], layout)
 
 
 def normal_equations(problem: RobotProblem, linear: Linear) -> tuple[FloatArray, FloatArray]:

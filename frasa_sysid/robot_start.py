@@ -1,7 +1,7 @@
 """The state a piece of a robot's run starts from: joints from the encoders, the trunk from IMU and ground.
 
-On the ground nothing measures where the trunk is: its orientation and rate are the IMU's, its height
-is that at which the lowest point touches the floor, and its speed the one with which that point rests.
+On the ground nothing measures where the trunk is: its orientation is roughly the IMU's and its height that
+at which the lowest point touches the floor; `robot_settle` then lets it stand.
 """
 
 from collections.abc import Mapping
@@ -14,11 +14,12 @@ from frasa_sysid.recording import FloatArray
 from frasa_sysid.robot_rig import RobotRun, local_states
 
 _BURIED = 5e-4  # [m] how deep the lowest point of a standing robot is in MuJoCo's soft floor
-_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
 
 
 def start_states(model: mujoco.MjModel, trunk: int, run: RobotRun, first: int, ages: Mapping[str, float]) -> FloatArray:
-    """Positions and velocities at a physics step, shape (nq + nv,).
+    """Positions and velocities at a physics step as measured, shape (nq + nv,).
+
+    On the ground the trunk's orientation and rate are there, but not yet its height and speed: see `put_down`.
 
     Args:
         model: the robot, of one kind of base.
@@ -28,15 +29,49 @@ def start_states(model: mujoco.MjModel, trunk: int, run: RobotRun, first: int, a
         ages: of channels by name [s].
     """
     time = first * float(model.opt.timestep)
-    data = mujoco.MjData(model)
+    qpos, qvel = np.array(model.qpos0), np.zeros(model.nv)
     joints = model.actuator_trnid[:, 0]
-    channel = run.channels["position"]
-    q, dq = local_states(channel, np.array([time + ages.get("position", 0.0)]))
-    data.qpos[model.jnt_qposadr[joints]] = q[0]
-    data.qvel[model.jnt_dofadr[joints]] = dq[0]
+    q, dq = local_states(run.channels["position"], np.array([time + ages.get("position", 0.0)]))
+    qpos[model.jnt_qposadr[joints]], qvel[model.jnt_dofadr[joints]] = q[0], dq[0]
     if run.base == "floating":
-        _place_trunk(model, data, trunk, run, time, ages)
-    return np.concatenate([data.qpos, data.qvel])
+        joint = model.body_jntadr[trunk]
+        place, speed = model.jnt_qposadr[joint], model.jnt_dofadr[joint]
+        turned, rate = (_trunk_reading(run, name, time + ages.get(name, 0.0)) for name in ("orientation", "gyro"))
+        qpos[place + 3 : place + 7] = turned / np.linalg.norm(turned)
+        qvel[speed + 3 : speed + 6] = rate
+    return np.concatenate([qpos, qvel])
+
+
+def _trunk_reading(run: RobotRun, name: str, time: float) -> FloatArray:
+    if name not in run.channels:
+        raise LogError(f"{run.name}: on the ground the trunk is known from the IMU, and the log has no {name}")
+    return np.asarray(local_states(run.channels[name], np.array([time]))[0][0])
+
+
+def put_down(model: mujoco.MjModel, data: mujoco.MjData, trunk: int, qpos: FloatArray) -> FloatArray:
+    """The same positions (nq,) with the trunk at the height at which the lowest point touches the floor.
+
+    Args:
+        model: with the zeros of the robot at hand.
+        data: scratch.
+        trunk: root body.
+        qpos: joints and the trunk's orientation, shape (nq,).
+    """
+    place = model.jnt_qposadr[model.body_jntadr[trunk]]
+    placed = np.array(qpos)
+    placed[place : place + 3] = 0.0
+    placed[place + 2] = -bottoms(model, data, placed).min() - _BURIED
+    return placed
+
+
+def bottoms(model: mujoco.MjModel, data: mujoco.MjData, qpos: FloatArray) -> FloatArray:
+    """Height of the lowest corner of the box around each geom of the robot that collides [m], shape (g,)."""
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    geoms = np.flatnonzero((model.geom_bodyid > 0) & (model.geom_contype > 0))
+    up = data.geom_xmat[geoms].reshape(-1, 3, 3)[:, 2]
+    centre, half = model.geom_aabb[geoms, :3], model.geom_aabb[geoms, 3:]
+    return np.asarray(data.geom_xpos[geoms, 2] + np.sum(up * centre - np.abs(up) * half, axis=1))
 
 
 def gravity_of(run: RobotRun, model: mujoco.MjModel) -> FloatArray:
@@ -51,36 +86,3 @@ def gravity_of(run: RobotRun, model: mujoco.MjModel) -> FloatArray:
     # The third row of the rotation: the world's vertical as the trunk sees it.
     up = np.array([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z]).mean(axis=1)
     return np.asarray(-up / np.linalg.norm(up) * np.linalg.norm(model.opt.gravity))
-
-
-def _place_trunk(
-    model: mujoco.MjModel, data: mujoco.MjData, trunk: int, run: RobotRun, time: float, ages: Mapping[str, float]
-) -> None:
-    missing = [name for name in ("gyro", "orientation") if name not in run.channels]
-    if missing:
-        raise LogError(f"{run.name}: on the ground the trunk is known from the IMU, and the log has no {missing[0]}")
-    turned = local_states(run.channels["orientation"], np.array([time + ages.get("orientation", 0.0)]))[0][0]
-    rate = local_states(run.channels["gyro"], np.array([time + ages.get("gyro", 0.0)]))[0][0]
-    joint = model.body_jntadr[trunk]
-    q, v = model.jnt_qposadr[joint], model.jnt_dofadr[joint]
-    data.qpos[q : q + 3] = 0.0
-    data.qpos[q + 3 : q + 7] = turned / np.linalg.norm(turned)
-    data.qvel[v : v + 3], data.qvel[v + 3 : v + 6] = 0.0, rate
-    mujoco.mj_forward(model, data)
-    point, body = _lowest(model, data)
-    data.qpos[q + 2] = -point[2] - _BURIED
-    jacobian = np.zeros((3, model.nv))
-    mujoco.mj_jac(model, data, jacobian, None, point, body)
-    data.qvel[v : v + 3] = -(jacobian @ data.qvel)
-
-
-def _lowest(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[FloatArray, int]:
-    """Lowest corner of all boxes around what collides, and its body."""
-    best, owner = np.array([0.0, 0.0, np.inf]), 0
-    for geom in np.flatnonzero((model.geom_bodyid > 0) & (model.geom_contype > 0)):
-        centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
-        corners = data.geom_xpos[geom] + (centre + _CORNERS * half) @ data.geom_xmat[geom].reshape(3, 3).T
-        low = corners[np.argmin(corners[:, 2])]
-        if low[2] < best[2]:
-            best, owner = low, int(model.geom_bodyid[geom])
-    return best, owner

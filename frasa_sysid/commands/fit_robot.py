@@ -30,7 +30,7 @@ from frasa_sysid.robot_check import check_published_robot
 from frasa_sysid.robot_compare import compare_runs, held_from, last_share, of_found
 from frasa_sysid.robot_fit import RobotFit, fit_robot, frozen_model
 from frasa_sysid.robot_fit_record import Interval, RobotEstimate, RobotFitRecord, base_numbers, with_products
-from frasa_sysid.robot_problem import DEFAULT_GROUPS, GROUPS
+from frasa_sysid.robot_problem import DEFAULT_GROUPS, GROUPS, default_groups
 from frasa_sysid.robot_rig import is_robot
 from frasa_sysid.stored_fit import StoredFit
 
@@ -44,7 +44,9 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
     """What only logs of the whole robot need."""
     group = parser.add_argument_group("logs of the whole robot")
     add_base_argument(group)
-    group.add_argument("--free", metavar="LIST", help=f"of {', '.join(GROUPS)} [{','.join(DEFAULT_GROUPS)}]")
+    group.add_argument(
+        "--free", metavar="LIST", help=f"of {', '.join(GROUPS)} [{','.join(DEFAULT_GROUPS)}; trunk on the ground]"
+    )
     group.add_argument("--position-delay", type=float, default=0.0, metavar="S", help="age of a joint position [0]")
     group.add_argument(
         "--frozen", type=Path, action="append", metavar="FIT", help="bench fit that applies [those beside --model]"
@@ -72,7 +74,8 @@ def fit_robot_logs(args: argparse.Namespace, recordings: Sequence[Recording]) ->
     _check(args, recordings)
     out = args.out or args.model.parent / "fits" / "robot.json"
     fits = _frozen(args)
-    groups = DEFAULT_GROUPS if args.free is None else tuple(args.free.split(","))
+    bases = [args.base or one.rig.base for one in recordings]
+    groups = default_groups(bases) if args.free is None else tuple(args.free.split(","))
     identity = _identity(args, recordings, fits, groups)
     partial = out.with_suffix(".partial.json")
     start = _resumed(partial, identity)

@@ -12,6 +12,7 @@ import pytest
 from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.calibration.stepping import EULER, TRAPEZOIDAL
 from frasa_sysid.excitation_hung import design, first_sizes
+from frasa_sysid.excitation_standing import design as standing
 from frasa_sysid.problem import FitProblem, state_problem, stated_servo
 from frasa_sysid.recording import Recording, RigFacts, Signal
 from frasa_sysid.rig import BenchRun, runs_of
@@ -206,4 +207,14 @@ def held_robot(robot_model_dir: Path) -> Callable[[float, str], Recording]:
     sizes = first_sizes(joints)
     small = replace(sizes, quick=sizes.quick / 3, swing=sizes.swing / 3, step=sizes.step / 3)
     goals = design(joints, small, 10.0)
+    return lambda seconds, name: simulate_robot(path, joints, truth, goals, seconds, name, timestep=0.0005)
+
+
+@pytest.fixture(scope="session")
+def standing_robot(robot_model_dir: Path) -> Callable[[float, str], Recording]:
+    """A maker of logs [s] of one virtual robot without zeros that stands on its feet."""
+    path = robot_model_dir / "nominal.xml"
+    joints = joints_of(path)
+    truth = replace(draw("floating", 5, joints.classes, joints.names), zeros=None)
+    goals = standing(joints, 10.0)
     return lambda seconds, name: simulate_robot(path, joints, truth, goals, seconds, name, timestep=0.0005)

@@ -18,9 +18,10 @@ from frasa_sysid.robot_body import bare
 from frasa_sysid.robot_candidate import Candidate, Writer
 from frasa_sysid.robot_fit import fit_robot, frozen_model, model_delays
 from frasa_sysid.robot_problem import state_robot_problem
-from frasa_sysid.robot_residuals import Comparison, tilt
+from frasa_sysid.robot_residuals import Comparison, tilt, whitened
 from frasa_sysid.robot_rig import robot_run
-from frasa_sysid.robot_simulator import RobotSimulator, bare_model, delayed, pieces_of
+from frasa_sysid.robot_simulator import RobotSimulator, bare_model, delayed, firm, pieces_of
+from frasa_sysid.robot_stance import level_zeros
 from frasa_sysid.writer import write_mcap
 
 GROUPS = ("delays", "gain", "damping", "friction")
@@ -102,7 +103,7 @@ def test_commands_are_late_as_in_mujoco(robot_model_dir, frozen, recording):
 
 def _with_history(frozen):
     """The held robot as `bare_model` makes it, but with MuJoCo's own command history."""
-    return bare(frozen, held=True, plain=False)
+    return firm(bare(frozen, held=True, plain=False), "fixed")
 
 
 def test_delayed_commands():
@@ -284,3 +285,82 @@ def test_a_quaternion_and_its_negative_are_one_orientation(robot_model_dir, reco
     plain = robot_run(recording, model).channels["orientation"].y
     found = robot_run(replace(recording, signals={**recording.signals, "orientation": jumping}), model)
     assert found.channels["orientation"].y == pytest.approx(plain, abs=1e-15)
+
+
+def test_a_robot_put_down_stands_on_both_feet(standing_robot, frozen):
+    """Each candidate starts on its own feet, whatever its zeros are: both touch, neither is pushed in."""
+    recording = standing_robot(1.5, "standing.mcap")
+    with RobotSimulator(frozen, "floating", 1) as simulator:
+        run, model = robot_run(recording, simulator.model), simulator.model
+        piece = pieces_of(run, simulator.timestep, 0.4, 0.1)[0]
+        several = [Candidate(), Candidate(zeros={"left_ankle_pitch": 0.02, "right_hip_roll": -0.02})]
+        found = {c: states[0] for c, _, states in simulator.simulate([piece], several, Candidate())}
+        for c, one in enumerate(several):
+            simulator.writer.write(model, one, 15.0, None)
+            data = mujoco.MjData(model)
+            data.qpos[:] = found[c][: model.nq]
+            mujoco.mj_forward(model, data)
+            depths: dict[str, float] = {}
+            for contact in data.contact:
+                name = model.geom(max(contact.geom)).name.partition("_")[0]
+                depths[name] = max(depths.get(name, 0.0), -contact.dist)
+            assert set(depths) == {"left", "right"}
+            assert 1e-5 < min(depths.values()) < max(depths.values()) < 2e-3
+    assert found[0][2] != pytest.approx(found[1][2], abs=1e-5)
+
+
+def test_candidates_that_are_read_differently_are_one_robot(frozen, recording):
+    """Other ages of channels, the same states; another zero, other states."""
+    with RobotSimulator(frozen, "fixed", 1) as simulator:
+        run = robot_run(recording, simulator.model)
+        pieces = pieces_of(run, simulator.timestep, 1.0, 0.3)[:2]
+        several = [Candidate(), Candidate(ages={"velocity": 0.02}), Candidate(zeros={"left_knee": 0.01})]
+        found = {(c, p): states for c, p, states in simulator.simulate(pieces, several, Candidate())}
+    assert len(found) == 6
+    assert found[0, 0] is found[1, 0]
+    assert not np.array_equal(found[0, 1], found[2, 1])
+
+
+def test_on_the_ground_the_trunk_is_free_unless_told(robot_model_dir, recording, standing_robot):
+    """Its weight would be taken for zeros; a user who fixes it gets wider intervals of the zeros."""
+    model = load_model(robot_model_dir / "nominal.xml")
+    held, standing = (robot_run(one, model) for one in (recording, standing_robot(1.5, "standing.mcap")))
+    delays = model_delays(model, 0.0)
+    by_default = {one.name for one in state_robot_problem([held], ("mx64",), delays, 3.0).free}
+    assert "trunk.mass_scale" not in by_default
+    both = {one.name: one for one in state_robot_problem([held, standing], ("mx64",), delays, 3.0).free}
+    assert {"trunk.mass_scale", "sensor.gyro_delay"} <= set(both)
+    told = {one.name: one for one in state_robot_problem([standing], ("mx64",), delays, 3.0, ("zeros",)).free}
+    assert told["left_knee.zero"].kind.trust > 10.0 * both["left_knee.zero"].kind.trust
+
+
+def test_a_slow_error_of_an_orientation_is_whitened(standing_robot, frozen):
+    """What a filter's error carries over is taken off, sample by sample and piece by piece; joints have no memory."""
+    with RobotSimulator(frozen, "floating", 1) as simulator:
+        run = robot_run(standing_robot(1.5, "standing.mcap"), simulator.model)
+        layout = Comparison(simulator, pieces_of(run, simulator.timestep, 0.4, 0.1)).layout
+    tilts = np.char.startswith(np.array(layout.names)[layout.column], "orientation")
+    assert (layout.before[~tilts] == -1).all()
+    firsts = tilts & (layout.before == -1)
+    pieces = 3
+    assert firsts.sum() == 2 * pieces
+    assert (layout.column[layout.before[tilts & ~firsts]] == layout.column[tilts & ~firsts]).all()
+    constant = whitened(np.ones(tilts.size), layout)
+    assert (constant[firsts] == 1.0).all()
+    assert np.abs(constant[tilts & ~firsts]).max() < 0.2
+    assert (constant[~tilts] == 1.0).all()
+
+
+def test_flat_feet_tell_zeros(standing_robot, frozen):
+    """An ankle whose encoder is turned shows in a standing robot's feet, before anything is simulated."""
+    recording = standing_robot(1.5, "standing.mcap")
+    position = recording.signals["position"]
+    y = position.y + 0.03 * (np.array(position.columns) == "left_ankle_pitch")
+    turned = Signal("position", "rad", position.t, y, position.columns)
+    pitch = []
+    with RobotSimulator(frozen, "floating", 1) as simulator:
+        for one in (recording, replace(recording, signals={**recording.signals, "position": turned})):
+            run = robot_run(one, simulator.model)
+            zeros = level_zeros(bare_model(frozen, "floating"), simulator.writer, simulator.trunk, run, {})
+            pitch.append(sum(zeros[f"left_{name}"] for name in ("hip_pitch", "knee", "ankle_pitch")))
+    assert pitch[1] - pitch[0] == pytest.approx(0.03, abs=0.005)
