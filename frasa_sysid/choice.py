@@ -25,6 +25,8 @@ from frasa_sysid.search import Stop
 from frasa_sysid.spread import Spread
 
 WORTH = 0.02  # relative gain in held-out error below which a richer model is not worth its numbers
+# Effects are ten to choose from, so that one of them is better by a little, and by accident, more often than not.
+WORTH_OF_EFFECT = 0.05
 SIGNIFICANCE = 0.05
 _FOLDS = 4  # of each kind at most
 _ITERATIONS = 8  # of the finisher for each fold, from the solution on all runs
@@ -181,7 +183,7 @@ def _choose_effects(
                 break
             trial = _compared(_weigh(*tried[name], session, folds, spread, tell), score, folds)
             trials.append(trial)
-            if _beats(trial, score):
+            if _beats(trial, score, WORTH_OF_EFFECT):
                 accepted, score = name, replace(trial, p_value=float("nan"), against="")
                 break
         # What did nothing for the fit now will not do more beside another effect.
@@ -273,8 +275,8 @@ def _compared(trial: Trial, other: Trial, folds: Sequence[Fold]) -> Trial:
     return replace(trial, p_value=p_value, against=_name(other.law, other.effects))
 
 
-def _beats(trial: Trial, other: Trial) -> bool:
-    return trial.held_out < other.held_out * (1.0 - WORTH) and trial.p_value < SIGNIFICANCE
+def _beats(trial: Trial, other: Trial, worth: float = WORTH) -> bool:
+    return trial.held_out < other.held_out * (1.0 - worth) and trial.p_value < SIGNIFICANCE
 
 
 def _simplest(weighed: dict[str, Trial], folds: Sequence[Fold]) -> tuple[str, list[Trial], str]:

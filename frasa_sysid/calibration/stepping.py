@@ -24,8 +24,8 @@ from frasa_sysid.calibration.errors import ModelError
 
 EULER, TRAPEZOIDAL = "euler", "trapezoidal"
 HARD_STEPS = 2.0  # time constant of a hard friction row in steps: the shortest that MuJoCo allows
-# Its impedance. MuJoCo's highest, 0.9999, makes no difference that could be seen, and costs a robot on its feet more than
-# three times the solver's work where there are noslip iterations too.
+# Its impedance. MuJoCo's highest, 0.9999, makes no difference that could be seen, and costs a robot on its feet more
+# than three times the solver's work where there are noslip iterations too.
 HARD = (0.99, 0.99, 0.001, 0.5, 2.0)
 _EULERDAMP = int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
 

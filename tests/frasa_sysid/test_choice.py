@@ -95,7 +95,7 @@ def test_what_is_held_out_is_not_seen(kit, whole):
         problem, train=tuple(run if i in fold.held else replace(run, y=0.8 * run.y) for i, run in enumerate(runs))
     )
     ours, theirs = (held_out_error(one, x, fold, kit.session) for one in (problem, bent))
-    assert ours < 0.003 < theirs
+    assert ours < 0.0032 < theirs
 
 
 def sane(choice, laws):

@@ -23,7 +23,7 @@ from frasa_sysid.robot_compare import compare_robot, last_share, of_model
 from frasa_sysid.robot_errors import errors_by_channel, series
 from frasa_sysid.robot_fit import RECORD
 from frasa_sysid.robot_rig import robot_run
-from frasa_sysid.robot_simulator import RobotSimulator, firm, pieces_of
+from frasa_sysid.robot_simulator import RobotSimulator, pieces_of
 from frasa_sysid.robot_truth import draw
 from frasa_sysid.simulate_robot import IDEAL, simulate_robot
 from frasa_sysid.writer import write_mcap
@@ -122,7 +122,6 @@ def test_mujocos_own_delays_say_the_same(place, ground):
     with RobotSimulator(path, "floating", 1) as simulator:
         piece, one = pieces_of(run, simulator.timestep, 1.0, 0.1)[0], of_model("model", path).candidate
         state = next(simulator.simulate([piece], [one], one))[2][0]
-    firm(model, "floating")  # as `compare` simulates
     data.qpos[:], data.qvel[:] = state[: model.nq], state[model.nq :]
     size = int(model.actuator_history[0, 0])
     times = (np.arange(size) - size) * model.opt.timestep

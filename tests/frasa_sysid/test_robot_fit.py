@@ -20,7 +20,7 @@ from frasa_sysid.robot_fit import fit_robot, frozen_model, model_delays
 from frasa_sysid.robot_problem import state_robot_problem
 from frasa_sysid.robot_residuals import Comparison, tilt, whitened
 from frasa_sysid.robot_rig import robot_run
-from frasa_sysid.robot_simulator import RobotSimulator, bare_model, delayed, firm, pieces_of
+from frasa_sysid.robot_simulator import RobotSimulator, bare_model, delayed, pieces_of
 from frasa_sysid.robot_stance import level_zeros
 from frasa_sysid.writer import write_mcap
 
@@ -103,7 +103,7 @@ def test_commands_are_late_as_in_mujoco(robot_model_dir, frozen, recording):
 
 def _with_history(frozen):
     """The held robot as `bare_model` makes it, but with MuJoCo's own command history."""
-    return firm(bare(frozen, held=True, plain=False), "fixed")
+    return bare(frozen, held=True, plain=False)
 
 
 def test_delayed_commands():

@@ -90,7 +90,8 @@ def test_a_published_joint_is_held_by_its_friction(robot_model_dir):
         data.qfrc_applied[:] = 0.05
         mujoco.mj_step(model, data, 1000)
         crept[name] = float(np.abs(data.qpos - model.qpos0).max())
-    assert crept["calibrated"] < 1e-5 < 1e-4 < crept["nominal"]
+    assert crept["calibrated"] < 0.1 * crept["nominal"]
+    assert crept["calibrated"] < 1e-4
 
 
 def test_the_published_model_steps_as_the_bench(robot_model_dir, models, fits):
