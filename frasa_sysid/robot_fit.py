@@ -153,9 +153,9 @@ def fit_robot(
         own = candidate_of(model).command_delays
         problem = state_robot_problem(runs, servo_classes(model), delays, float(trunk), groups, seed, own)
         fitted, held = _comparisons(simulators, runs, hold_out)
-        if "floating" in simulators and start is None:
+        if rough := "floating" in simulators and start is None:
             start = _roughly(problem, fitted, tell, keep)
-        settled = settle_robot(problem, Stack(fitted), start, tell, keep)
+        settled = settle_robot(problem, Stack(fitted), start, tell, keep, near=rough)
         logged, covariance, half = covariance_of(problem, settled.linear)
         points = {"nominal": problem.start(), "fitted": settled.x}
         errors = {name: _errors(problem, fitted, x) for name, x in points.items()}

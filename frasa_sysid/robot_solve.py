@@ -27,6 +27,7 @@ _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)  # of a step that are tried
 _BOLD = 2  # of them are tried at once, the others only where those do not help
 _WORTHWHILE = 0.2  # relative gain in cost below which slopes are computed anew
 _ENOUGH = 1e-3  # relative gain in cost below which it ends
+_POLISH = 4  # steps at most with the slopes of the end
 _ROUGHLY = 2e-2  # likewise, of a fit that another one goes on from
 _SETTLED_UNITS = 6  # iterations in which noise units follow the residuals
 _DAMPING = 1e-3  # of the curvature's diagonal
@@ -81,6 +82,7 @@ def settle_robot(
     tell: Tell = lambda stage, count, best: None,
     keep: Callable[[FloatArray, int], None] = lambda x, iteration: None,
     weigh: bool = True,
+    near: bool = False,
 ) -> Settled:
     """Fit the free numbers.
 
@@ -91,6 +93,7 @@ def settle_robot(
         tell: told (stage, robots simulated, cost).
         keep: told the point after each step, to resume from.
         weigh: end with slopes that intervals can be had from; without, they are those of the last steps.
+        near: the start is where a fit to a part of the log ended, from where it is not far.
     """
     x = problem.start() if start is None else start
     tell("slopes", 0, np.inf)
@@ -106,11 +109,12 @@ def settle_robot(
         linear = _weighted(moved.x, moved.residuals, moved.slopes, units, stack.layout)
         keep(linear.x, iteration)
         tell("steps", used, cost)
-        converged = fresh and gained < (_ENOUGH if weigh else _ROUGHLY) * before
+        # What is left is left to the slopes of the end where there was a fit before, or another one goes on.
+        converged = gained < _ROUGHLY * before if near else fresh and gained < (_ENOUGH if weigh else _ROUGHLY) * before
         if converged:
             break
         # Slopes serve while they find descent; computing them costs ten times as much as a step.
-        fresh = gained < _WORTHWHILE * before
+        fresh = not near and gained < _WORTHWHILE * before
         if fresh:
             tell("slopes", used, cost)
             linear = linearise_robot(problem, stack, linear.x, linear.units, central=False)
@@ -119,9 +123,14 @@ def settle_robot(
         return Settled(linear.x, linear, float(cost), iteration, used, converged)
     tell("weighing the evidence", used, cost)
     linear = linearise_robot(problem, stack, linear.x)
-    before = _cost(problem, stack.layout, linear.residuals, linear.units, linear.x)
-    linear, cost, count = _moved(problem, stack, linear, before, _SHARES[:1], learn=False)
-    return Settled(linear.x, linear, float(cost), iteration, used + 2 * x.size + 1 + count, converged)
+    used += 2 * x.size + 1
+    for _ in range(_POLISH):
+        before = _cost(problem, stack.layout, linear.residuals, linear.units, linear.x)
+        linear, cost, count = _moved(problem, stack, linear, before, _SHARES[:_BOLD], learn=False)
+        used += count
+        if before - cost < _ENOUGH * before:
+            break
+    return Settled(linear.x, linear, float(cost), iteration, used, converged)
 
 
 def _moved(
