@@ -52,7 +52,7 @@ ZERO_STANDING = Kind("rad", -0.2, 0.2, 0.03, 0.02, 3.5e-3, 1e-3)
 # With a trunk that may be a tenth too heavy, knees that hang lower than they should are taken for zeros of hip, knee
 # and ankle that add up to nothing.
 ZERO_LOADED = Kind("rad", -0.2, 0.2, 0.03, 0.02, 3.5e-3, 0.015)
-SCALE = Kind("1", 0.3, 3.0, 0.4, 0.12, 0.05, 0.015)
+SCALE = Kind("1", 0.3, 3.0, 0.4, 0.12, 0.05, 0.006)
 MASS_SCALE = Kind("1", 0.5, 2.0, 0.2, 0.1, 0.03)
 SHIFT = Kind("m", -0.05, 0.05, 0.02, 0.01, 3e-3)
 

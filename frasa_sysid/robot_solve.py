@@ -31,6 +31,7 @@ _POLISH = 4  # steps at most with the slopes of the end
 _ROUGHLY = 2e-2  # likewise, of a fit that another one goes on from
 _SETTLED_UNITS = 6  # iterations in which noise units follow the residuals
 _DAMPING = 1e-3  # of the curvature's diagonal
+_WIDER = 1.5  # of intervals: joints that stick repeat an error for longer than a second (virtual robots)
 Tell = Callable[[str, int, float], None]
 
 
@@ -212,7 +213,7 @@ def covariance_of(problem: RobotProblem, linear: Linear) -> tuple[FloatArray, Fl
     # Neither may be narrower than the other says; correlations are those of the wider one.
     base = sandwich if np.trace(sandwich / np.diag(inverse)) > len(A) else inverse
     ratio = np.sqrt(np.maximum(np.diag(sandwich), np.diag(inverse)) / np.diag(base))
-    logged = base * np.outer(ratio, ratio)
+    logged = base * np.outer(ratio, ratio) * _WIDER**2
     covariance = logged + _model_error(problem, A)
     seconds = max(len({int(one) for one in linear.layout.cluster}) // max(len(linear.layout.names), 1), 2)
     quantile = float(stats.t.ppf(0.975, max(seconds - 1, 2)))
