@@ -47,8 +47,9 @@ class Kind:
 
 DELAY = Kind("s", 0.0, 0.12, 0.03, 3e-3, 1e-3, 2.5e-4)
 ZERO = Kind("rad", -0.2, 0.2, 0.03, 0.02, 3.5e-3)
-# Standing on bent legs a joint is held by its friction as much as by its gain, and by feet on a floor that gives.
-ZERO_STANDING = Kind("rad", -0.2, 0.2, 0.03, 0.02, 3.5e-3, 1e-3)
+# A joint at rest agrees with its log wherever friction holds it, and disagrees as soon as it slips: a fit prefers
+# zeros at which nothing slips to those that are true.
+ZERO_STANDING = Kind("rad", -0.2, 0.2, 0.03, 0.02, 3.5e-3, 4e-3)
 # With a trunk that may be a tenth too heavy, knees that hang lower than they should are taken for zeros of hip, knee
 # and ankle that add up to nothing.
 ZERO_LOADED = Kind("rad", -0.2, 0.2, 0.03, 0.02, 3.5e-3, 0.015)
