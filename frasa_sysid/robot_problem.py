@@ -54,6 +54,8 @@ ZERO_STANDING = Kind("rad", -0.2, 0.2, 0.03, 0.02, 3.5e-3, 4e-3)
 # and ankle that add up to nothing.
 ZERO_LOADED = Kind("rad", -0.2, 0.2, 0.03, 0.02, 3.5e-3, 0.015)
 SCALE = Kind("1", 0.3, 3.0, 0.4, 0.12, 0.05, 0.006)
+# For the same reason friction comes out a few percent too high where a robot stands.
+FRICTION_STANDING = Kind("1", 0.3, 3.0, 0.4, 0.12, 0.05, 0.02)
 MASS_SCALE = Kind("1", 0.5, 2.0, 0.2, 0.1, 0.03)
 SHIFT = Kind("m", -0.05, 0.05, 0.02, 0.01, 3e-3)
 
@@ -169,13 +171,14 @@ def state_robot_problem(
     if "delays" in groups:
         free.append(FreeNumber(COMMAND_DELAY, DELAY, delays["command"]))
         free += [FreeNumber(f"sensor.{name}_delay", DELAY, delays[name]) for name in _moving_channels(runs)]
+    standing = any(run.base == "floating" for run in runs)
     if "zeros" in groups:
-        standing = any(run.base == "floating" for run in runs)
         kind = ZERO if not standing else ZERO_STANDING if "trunk" in groups else ZERO_LOADED
         free += [FreeNumber(f"{joint}.zero", kind, 0.0) for joint in runs[0].joints]
     for group in ("gain", "damping", "friction"):
         if group in groups:
-            free += [FreeNumber(f"{servo}.{group}_scale", SCALE, 1.0) for servo in servos]
+            scale = FRICTION_STANDING if standing and group == "friction" else SCALE
+            free += [FreeNumber(f"{servo}.{group}_scale", scale, 1.0) for servo in servos]
     if "trunk" in groups:
         free.append(FreeNumber("trunk.mass_scale", MASS_SCALE, 1.0))
         free += [FreeNumber(f"trunk.com_shift_{axis}", SHIFT, 0.0) for axis in AXES]

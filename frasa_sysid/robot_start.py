@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from frasa_sysid.errors import LogError
+from frasa_sysid.holds import up_of
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.robot_rig import RobotRun, local_states
 
@@ -82,7 +83,5 @@ def gravity_of(run: RobotRun, model: mujoco.MjModel) -> FloatArray:
     """
     if run.base == "floating" or "orientation" not in run.channels:
         return np.array(model.opt.gravity)
-    w, x, y, z = run.channels["orientation"].y.T
-    # The third row of the rotation: the world's vertical as the trunk sees it.
-    up = np.array([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z]).mean(axis=1)
+    up = up_of(run.channels["orientation"].y).mean(axis=0)
     return np.asarray(-up / np.linalg.norm(up) * np.linalg.norm(model.opt.gravity))
