@@ -193,13 +193,14 @@ def command(*words):
 
 
 def test_the_stored_log_is_simulated_and_says_so(robot_model_dir, capsys):
-    """bench_logs/robot.mcap holds a held and a standing run of one robot, with their truth; inspect says it."""
+    """bench_logs/robot.mcap holds two held runs and a standing one of one robot, with their truth; inspect says it."""
     log = robot_model_dir.parent / "bench_logs" / "robot.mcap"
     assert log.stat().st_size < 3e6
     assert command("inspect", log, "--json") == 0
     shown = json.loads(capsys.readouterr().out)["recordings"]
-    assert [(one["origin"], one["rig"]["base"]) for one in shown] == [("simulated", "fixed"), ("simulated", "floating")]
-    assert shown[0]["truth"]["sensor.gyro_delay"] == shown[1]["truth"]["sensor.gyro_delay"]
+    assert [one["rig"]["base"] for one in shown] == ["fixed", "fixed", "floating"]
+    assert {one["origin"] for one in shown} == {"simulated"}
+    assert len({one["truth"]["sensor.gyro_delay"] for one in shown}) == 1
 
 
 def test_command_line(robot_model_dir, tmp_path, capsys):
