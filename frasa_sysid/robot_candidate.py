@@ -113,6 +113,9 @@ class Writer:
 
     def _write_friction(self, model: mujoco.MjModel, servo: str, damping: float, friction: float) -> None:
         dofs, law = self._dofs[servo], self._laws[servo]
+        # From the original each time: what a copy was before must not show, not even in its roundings.
+        for name in ("dof_damping", "dof_armature"):
+            getattr(model, name)[dofs] = getattr(self._model, name)[dofs]
         stepping.set_damping(model, dofs, self._model.dof_damping[dofs] * damping)
         model.dof_frictionloss[dofs] = self._model.dof_frictionloss[dofs] * friction
         if law is not None:

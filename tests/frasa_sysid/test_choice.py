@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from frasa_sysid.choice import WORTH, Fold, choose, folds_of, held_out_error
+from frasa_sysid.finish import finish
 from frasa_sysid.readers import read_log
 from frasa_sysid.servo import PUBLISHED_M4
 from frasa_sysid.servo_values import ServoValues
@@ -81,7 +82,9 @@ def test_what_is_held_out_is_not_seen(kit, whole):
     """However far away the held-out angles are put, the fit stays: only the error moves, by just as much."""
     runs = made(kit, whole[0:4], servo_of(kit))
     problem = kit.problem(runs)
-    fold, x = Fold("run", "", (1, 3)), problem.to_unit(problem.nominal_values())
+    fold = Fold("run", "", (1, 3))
+    # As `choose` has it, from the solution on all runs: from afar the few iterations of a fold do not arrive.
+    x = finish(problem, kit.session.kernel(runs), problem.to_unit(problem.nominal_values())).x
     far = [
         replace(
             problem, train=tuple(replace(run, y=run.y + away) if i in fold.held else run for i, run in enumerate(runs))
@@ -95,7 +98,7 @@ def test_what_is_held_out_is_not_seen(kit, whole):
         problem, train=tuple(run if i in fold.held else replace(run, y=0.8 * run.y) for i, run in enumerate(runs))
     )
     ours, theirs = (held_out_error(one, x, fold, kit.session) for one in (problem, bent))
-    assert ours < 0.0032 < theirs
+    assert ours < 0.003 < theirs
 
 
 def sane(choice, laws):

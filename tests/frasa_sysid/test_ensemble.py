@@ -104,6 +104,7 @@ def test_restarts_agree_on_a_bench_that_sticks(kit, recordings):
     """
     problem = kit.problem(kit.runs(recordings))
     solved = solve(problem, kit.session, budget=200, restarts=4)
+    assert not solved.multimodal
     costs = sorted(one.cost for one in solved.restarts)
     assert costs[2] < 1.001 * costs[0]
     assert costs[3] < 1.1 * costs[0]

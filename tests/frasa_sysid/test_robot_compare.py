@@ -77,17 +77,16 @@ def compared(capsys, place, *words, logs=("held.mcap",)):
 def test_what_was_published_is_what_was_fitted(place, capsys):
     """The model by its own numbers and the fit by its file agree, on the part that the fit never saw too."""
     folder, found = place
-    same = 2e-6  # a joint that sticks or slips makes more of a rounding than MuJoCo's tolerance
     words = ("--with-model", folder / "calibrated.xml", "--fit", folder / "fits" / "robot.json")
     data = compared(capsys, place, *words, "--hold-out-share", SHARE, logs=("held.mcap", "ground.mcap"))
     assert data["schema"] == "frasa.compare/1"
     assert (data["kind"], data["hold_out_share"]) == ("robot", 0.4)
     nominal, model, fit = (data["candidates"][name] for name in ("nominal", "calibrated.xml", "robot.json"))
     assert data["misfit"] == fit
-    assert model["mae_rad"] == pytest.approx(fit["mae_rad"], abs=same)
+    assert model["mae_rad"] == pytest.approx(fit["mae_rad"], abs=1e-9)
     for channel, (mae, rmse) in found.errors["held_out_fitted"].items():
-        assert fit["by_channel"][channel]["mae"] == pytest.approx(mae, abs=10 * same), channel
-        assert model["by_channel"][channel]["rmse"] == pytest.approx(rmse, abs=1e-4), channel
+        assert fit["by_channel"][channel]["mae"] == pytest.approx(mae, abs=1e-9), channel
+        assert model["by_channel"][channel]["rmse"] == pytest.approx(rmse, abs=1e-9), channel
     assert model["mae_rad"] < 0.6 * nominal["mae_rad"]
     assert set(model["by_log"]) == {"held.mcap#00", "ground.mcap#00"}
     assert set(model["by_joint"]) == set(found.problem.runs[0].joints)
@@ -173,7 +172,7 @@ def test_a_model_that_is_not_what_was_fitted(place, tmp_path):
     robot = stored_robot_fit.load(folder / "fits" / "robot.json")
     fits = [stored_fit.load(folder / "fits" / f"{servo}.json") for servo in ("mx106", "mx64")]
     mean, count = check_published_robot(folder / "calibrated.xml", found, robot, fits, folder / "nominal.xml", 1)
-    assert mean < 1e-7
+    assert mean < 1e-9
     assert count == 4
     text = (folder / "calibrated.xml").read_text()
     delay = f'delay="{read(load_model(folder / "calibrated.xml"), "mx64.delay")!r}"'

@@ -124,7 +124,8 @@ def test_one_joint_moves_as_the_written_out_equations_do(bench: mujoco.MjModel, 
     simulated, expected = in_mujoco(bench, 6.0), in_python(bench, LAWS[law], 6.0)
     assert np.abs(simulated - expected).max() < 1e-10
     servo_law.set_law(bench, "mx106", Friction(0.05, 0.1))
-    assert np.abs(in_mujoco(bench, 6.0) - expected).max() > 4e-3  # what the law does is far more than that
+    felt = 4.5e-3 if stepping.lead(bench) else 5e-3  # what the law does is far more than that
+    assert np.abs(in_mujoco(bench, 6.0) - expected).max() > felt
 
 
 @pytest.mark.parametrize("solver", ["PGS", "CG", "NEWTON"])
