@@ -11,7 +11,17 @@ from numpy.random import Generator
 
 from frasa_rl.config import Assumed, Task
 from frasa_rl.robot import Robot
-from frasa_sysid.calibration import Calibration, actuators_of, apply, dofs_of, number, read, servo_classes, servo_law
+from frasa_sysid.calibration import (
+    Calibration,
+    actuators_of,
+    apply,
+    dofs_of,
+    number,
+    read,
+    servo_classes,
+    servo_law,
+    stepping,
+)
 
 # What a draw writes to, and what mj_setConst derives from it.
 _TOUCHED = (
@@ -85,8 +95,13 @@ class Randomizer:
         for field, ratio in ratios.items():
             values = getattr(self._model, f"dof_{field}")
             for servo, actuators in self._servos.items():
-                if f"{servo}.{field}" not in measured:
-                    values[dofs_of(self._model, actuators)] *= ratio
+                dofs = dofs_of(self._model, actuators)
+                if f"{servo}.{field}" in measured:
+                    continue
+                if field == "damping":  # what a joint weighs stays as it is
+                    stepping.set_damping(self._model, dofs, values[dofs] * ratio)
+                else:
+                    values[dofs] *= ratio
         assumed = {name: value * ratios["frictionloss"] for name, value in self._coulomb.items()}
         if assumed or measured:
             apply(self._model, {**assumed, **measured})
