@@ -5,6 +5,7 @@ Measured ranges are not here: they come with the calibrated model (`frasa_sysid.
 
 from dataclasses import dataclass, field
 from math import pi, radians
+from typing import Literal
 
 PAPER = "FRASA, Gaspard et al., arXiv 2410.08655"
 ENVIRONMENT = "FRASA's published environment, Rhoban/frasa at 78457df"
@@ -23,6 +24,53 @@ class Joint:
     name: str
     target_deg: float
     mirror: int = 1
+
+
+@dataclass(frozen=True)
+class Names:
+    """What the task's things are called in the model; braces stand for the joint's name.
+
+    Attributes:
+        trunk: body with the free joint; its axes are x forward, y left, z up.
+        floor: geom the robot lies and stands on.
+        left, right: joints, from the name of a `Joint`; both may be the same for a joint on the midline.
+        position, velocity: sensors, from the full name of a joint; None reads the truth, undelayed.
+        orientation, gyro: of the trunk, delayed as the robot reads them; None reads the truth.
+        self_contact: contact forces between parts of the robot; None has one added to the model.
+    """
+
+    trunk: str = "trunk"
+    floor: str = "floor"
+    left: str = "left_{}"
+    right: str = "right_{}"
+    position: str | None = "{}.position"
+    velocity: str | None = "{}.velocity"
+    orientation: str | None = "measured_orientation"
+    gyro: str | None = "measured_gyro"
+    self_contact: str | None = "self_contact"
+
+
+@dataclass(frozen=True)
+class Physics:
+    """How MuJoCo steps; None leaves what the model file says.
+
+    Attributes:
+        timestep: [s]; must divide the control period.
+        integrator: of `mjtIntegrator`.
+        cone: of friction.
+        iterations: most solver iterations a step.
+        tolerance: of the solver.
+        noslip_iterations: of the pass against creeping contacts.
+        self_collision: whether parts of the robot collide with each other.
+    """
+
+    timestep: float | None = None
+    integrator: Literal["euler", "implicit", "implicitfast", "rk4"] | None = None
+    cone: Literal["pyramidal", "elliptic"] | None = None
+    iterations: int | None = None
+    tolerance: float | None = None
+    noslip_iterations: int | None = None
+    self_collision: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -83,6 +131,7 @@ class Task:
     """The stand-up task.
 
     Attributes:
+        compat: `frasa2024` behaves as FRASA's published environment does, its errors included (`compat2024`).
         joints: what the policy moves, in the order of actions and observations.
         target_pitch_deg: trunk pitch of the standing pose, forward positive [deg].
         held_deg: fixed commands of other actuators [deg]; those not named hold 0.
@@ -99,8 +148,11 @@ class Task:
         settle_max_s: longest time a fall may take to come to rest [s].
         still_s, still_speed: at rest means all speeds below `still_speed` [rad/s, m/s] for `still_s` [s].
         success_deg, success_hold_s: standing means all six errors below this, for so long [deg], [s].
+        names: what all these things are called in the model.
+        physics: how MuJoCo steps.
     """
 
+    compat: Literal["", "frasa2024"] = ""
     joints: tuple[Joint, ...] = (
         Joint("elbow", -49.5),
         Joint("shoulder_pitch", 19.5),
@@ -128,3 +180,5 @@ class Task:
     success_hold_s: float = 0.5
     reward: Reward = field(default_factory=Reward)
     assumed: AssumedRanges = field(default_factory=AssumedRanges)
+    names: Names = field(default_factory=Names)
+    physics: Physics = field(default_factory=Physics)

@@ -109,7 +109,7 @@ def _draw_standing(model_path: Path, path: Path) -> None:
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("neutral").id)
     mujoco.mj_step(model, data, round(2.0 / model.opt.timestep))
-    camera = Camera(model, 720, 540)
+    camera = Camera(model, width=720, height=540)
     try:
         save_film([camera.picture(data)], path, 1.0)
     finally:

@@ -5,12 +5,12 @@ The age of every number is a property of the model (`sensor_delay`): nothing is 
 
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from frasa_rl.config import Task
-from frasa_rl.robot import Floats, Robot, pitch_of
+from frasa_rl.readings import Readings
+from frasa_rl.robot import Floats, Robot
 
 Observation = npt.NDArray[np.float32]
 
@@ -36,8 +36,8 @@ def layout(task: Task) -> tuple[Part, ...]:
     """The parts of an observation, in order.
 
     Positions and velocities are the mean of both sides, as the paper says. The previous
-    action is the one just applied: without it the variation reward would not be a
-    function of what is observed.
+    action is what was applied over the last control period: without it the variation reward
+    would not be a function of what is observed.
     """
     n = len(task.joints)
     return (
@@ -55,24 +55,26 @@ def bounds(task: Task) -> Observation:
     return np.concatenate([np.full(part.size, part.bound, dtype=np.float32) for part in layout(task)])
 
 
-def observe(robot: Robot, data: mujoco.MjData, action: Floats, bound: Observation) -> Observation:
-    """One observation at `data.time`, shape (22,).
+def observe(robot: Robot, read: Readings, commands: Floats, action: Floats, bound: Observation) -> Observation:
+    """What all robots see, shape (count, 22).
 
     Args:
-        robot: where things are.
-        data: after `mj_forward`, so that the sensors speak of this instant.
-        action: the action just applied, in [-1, 1], shape (5,).
+        robot: mirrors the sides.
+        read: what the sensors say.
+        commands: present ones of the moved joints, seen from the left [rad], shape (count, n).
+        action: mean of what was applied over the last control period, in [-1, 1], shape (count, n).
         bound: from `bounds`.
     """
-    sensed = data.sensordata
     seen = np.concatenate(
         [
-            robot.mean_of_sides(sensed[robot.position]),
-            robot.mean_of_sides(sensed[robot.velocity]),
-            robot.mean_of_sides(data.ctrl[robot.actuators]),
-            (pitch_of(sensed[robot.measured_orientation]), sensed[robot.measured_gyro][1]),
+            robot.mean_of_sides(read.positions),
+            robot.mean_of_sides(read.velocities),
+            commands,
+            read.pitch[:, None],
+            read.pitch_rate[:, None],
             action,
-        ]
+        ],
+        axis=1,
     )
     clipped: Observation = np.clip(seen, -bound, bound).astype(np.float32)
     return clipped

@@ -7,7 +7,6 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from frasa_rl.robot import TRUNK
 from frasa_sysid.calibration import FrasaError, UsageError
 
 Frame = npt.NDArray[np.uint8]
@@ -23,13 +22,14 @@ class Camera:
 
     Args:
         model: what is drawn.
+        trunk: body it follows.
         width, height: of the picture [pixel].
 
     Raises:
         RenderError: no OpenGL without a window on this machine.
     """
 
-    def __init__(self, model: mujoco.MjModel, width: int = 480, height: int = 360) -> None:
+    def __init__(self, model: mujoco.MjModel, trunk: str = "trunk", width: int = 480, height: int = 360) -> None:
         # The model's off-screen buffer may be smaller than the picture.
         model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
         model.vis.global_.offheight = max(model.vis.global_.offheight, height)
@@ -44,7 +44,7 @@ class Camera:
             self._renderer.scene.flags[flag] = False  # most of the time of a software renderer
         self._view = mujoco.MjvCamera()
         self._view.type = mujoco.mjtCamera.mjCAMERA_TRACKING
-        self._view.trackbodyid = model.body(TRUNK).id
+        self._view.trackbodyid = model.body(trunk).id
         self._view.distance, self._view.azimuth, self._view.elevation = 1.1, 120.0, -12.0
 
     def picture(self, data: mujoco.MjData) -> Frame:

@@ -7,14 +7,27 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from frasa_rl.config import Task
+from frasa_rl.config import Names, Task
 from frasa_sysid.calibration import ModelError
 
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-TRUNK = "trunk"
-FLOOR = "floor"
+
+@dataclass(frozen=True)
+class Sensors:
+    """Sensors of one kind: what the robot reads. Empty where it is taken to read the truth.
+
+    Attributes:
+        ids: shape (...,).
+        start: addresses of their first numbers in `sensordata`, shape (...,).
+    """
+
+    ids: Indices
+    start: Indices
+
+    def __bool__(self) -> bool:
+        return bool(self.ids.size)
 
 
 @dataclass(frozen=True)
@@ -23,63 +36,63 @@ class Robot:
 
     Attributes:
         actuators: shape (n, 2).
-        qpos: addresses of joint positions, shape (n, 2).
-        position, velocity: addresses in `sensordata` of what the robot measures, shape (n, 2).
+        qpos, dofs: addresses of joint positions and velocities, shape (n, 2).
         mirror: sign of the right side, shape (n, 2), ones on the left.
+        weights: of left and right in what is said of a joint, shape (2,).
         limits: control range both sides share, seen from the left, shape (n, 2).
         held: command of every actuator that the policy does not move [rad], shape (nu,).
-        orientation, measured_orientation: trunk quaternion, true and delayed, shape (4,).
-        gyro, measured_gyro: trunk angular rate, true and delayed, shape (3,).
-        self_contact: forces between parts of the robot, shape (3 k,).
+        position, velocity: sensors of the joints, shape (n, 2) or empty.
+        orientation, gyro: sensors of the trunk, shape (1,) or empty.
+        self_contact: forces between parts of the robot, shape (3 k,) of `sensordata`.
         trunk, floor: body and geom.
-        substeps: physics steps in a control period.
+        root_qpos, root_dof: where the trunk's free joint starts.
     """
 
     actuators: Indices
     qpos: Indices
-    position: Indices
-    velocity: Indices
+    dofs: Indices
     mirror: Floats
+    weights: Floats
     limits: Floats
     held: Floats
-    orientation: slice
-    measured_orientation: slice
-    gyro: slice
-    measured_gyro: slice
+    position: Sensors
+    velocity: Sensors
+    orientation: Sensors
+    gyro: Sensors
     self_contact: slice
     trunk: int
     floor: int
-    substeps: int
+    root_qpos: int
+    root_dof: int
 
     def both_sides(self, joint_values: Floats) -> Floats:
-        """Commands for actuators from the left-side values (n,): shape (n, 2)."""
-        return joint_values[:, None] * self.mirror
+        """Commands for actuators from the left-side values (..., n): shape (..., n, 2)."""
+        return joint_values[..., None] * self.mirror
 
     def mean_of_sides(self, values: Floats) -> Floats:
-        """One number a joint from the two sides (n, 2), mirrored: shape (n,)."""
-        mean: Floats = np.mean(values * self.mirror, axis=1)
-        return mean
+        """One number a joint from the two sides (..., n, 2), mirrored: shape (..., n)."""
+        return np.asarray((values * self.mirror) @ self.weights)
 
 
 def find_robot(model: mujoco.MjModel, task: Task) -> Robot:
     """Resolve every name the task needs.
 
     Raises:
-        ModelError: some are missing (all are listed, with what the model has), or the
-            time step does not divide the control period.
+        ModelError: some are missing (all are listed, with what the model has), a joint has no position
+            actuator with a control range, the trunk has no free joint, or a sensor is not aligned with it.
     """
-    pairs = [(f"left_{one.name}", f"right_{one.name}") for one in task.joints]
-    sides = [name for pair in pairs for name in pair]
-    held = [name for name, _ in task.held_deg]
-    sensors = ["orientation", "measured_orientation", "gyro", "measured_gyro", "self_contact"]
-    measured = [f"{name}.{what}" for name in sides for what in ("position", "velocity")]
-    _require(model, "joint", sides)
-    _require(model, "actuator", [*sides, *held])
-    _require(model, "sensor", [*sensors, *measured])
-    _require(model, "body", [TRUNK])
-    _require(model, "geom", [FLOOR])
-
-    actuators = np.array([[model.actuator(name).id for name in pair] for pair in pairs])
+    names = task.names
+    joints = [[names.left.format(one.name), names.right.format(one.name)] for one in task.joints]
+    flat = [name for pair in joints for name in pair]
+    _require(model, "joint", flat)
+    _require(model, "actuator", [name for name, _ in task.held_deg])
+    _require(model, "sensor", sensor_names(task))
+    _require(model, "body", [names.trunk])
+    _require(model, "geom", [names.floor])
+    trunk = int(model.body(names.trunk).id)
+    root = _root(model, trunk, names)
+    ids = np.array([[model.joint(name).id for name in pair] for pair in joints])
+    actuators = np.vectorize(lambda joint: _actuator_of(model, int(joint)))(ids)
     mirror = np.array([[1.0, one.mirror] for one in task.joints])
     ranges = model.actuator_ctrlrange[actuators] * mirror[:, :, None]
     ranges.sort(axis=2)
@@ -88,48 +101,92 @@ def find_robot(model: mujoco.MjModel, task: Task) -> Robot:
         commands[model.actuator(name).id] = np.radians(angle)
     return Robot(
         actuators=actuators,
-        qpos=np.array([[model.joint(name).qposadr[0] for name in pair] for pair in pairs]),
-        position=np.array([[_sensor(model, f"{name}.position").start for name in pair] for pair in pairs]),
-        velocity=np.array([[_sensor(model, f"{name}.velocity").start for name in pair] for pair in pairs]),
+        qpos=model.jnt_qposadr[ids].astype(np.int64),
+        dofs=model.jnt_dofadr[ids].astype(np.int64),
         mirror=mirror,
+        weights=np.array([1.0, 0.0] if task.compat else [0.5, 0.5]),
         limits=np.stack([ranges[:, :, 0].max(axis=1), ranges[:, :, 1].min(axis=1)], axis=1),
         held=commands,
-        orientation=_sensor(model, "orientation"),
-        measured_orientation=_sensor(model, "measured_orientation"),
-        gyro=_sensor(model, "gyro"),
-        measured_gyro=_sensor(model, "measured_gyro"),
-        self_contact=_sensor(model, "self_contact"),
-        trunk=int(model.body(TRUNK).id),
-        floor=int(model.geom(FLOOR).id),
-        substeps=_substeps(model.opt.timestep, task.control_period_s),
+        position=_joint_sensors(model, names.position, joints),
+        velocity=_joint_sensors(model, names.velocity, joints),
+        orientation=_trunk_sensor(model, names.orientation, trunk, 4),
+        gyro=_trunk_sensor(model, names.gyro, trunk, 3),
+        self_contact=_slice(model, names.self_contact or ADDED_SELF_CONTACT),
+        trunk=trunk,
+        floor=int(model.geom(names.floor).id),
+        root_qpos=int(model.jnt_qposadr[root]),
+        root_dof=int(model.jnt_dofadr[root]),
     )
 
 
-def pitch_of(quaternion: Floats) -> float:
-    """Trunk pitch [rad], forward positive, of a quaternion w x y z, shape (4,): atan2(-R[2, 0], R[2, 2])."""
-    w, x, y, z = quaternion
-    return float(np.arctan2(2.0 * (w * y - x * z), 1.0 - 2.0 * (x * x + y * y)))
+ADDED_SELF_CONTACT = "frasa_self_contact"
+
+
+def sensor_names(task: Task) -> list[str]:
+    """Every sensor the task reads."""
+    names = task.names
+    joints = [side.format(one.name) for one in task.joints for side in (names.left, names.right)]
+    of_joints = [pattern.format(joint) for pattern in (names.position, names.velocity) if pattern for joint in joints]
+    return [*of_joints, *(one for one in (names.orientation, names.gyro, names.self_contact) if one)]
+
+
+def pitch_of(quaternion: Floats) -> Floats:
+    """Trunk pitch [rad], forward positive, of quaternions w x y z (..., 4): atan2(-R[2, 0], R[2, 2]), shape (...,)."""
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    return np.asarray(np.arctan2(2.0 * (w * y - x * z), 1.0 - 2.0 * (x * x + y * y)))
 
 
 def _require(model: mujoco.MjModel, kind: str, names: Iterable[str]) -> None:
     count = {"joint": "njnt", "actuator": "nu", "sensor": "nsensor", "body": "nbody", "geom": "ngeom"}[kind]
     present = [getattr(model, kind)(i).name for i in range(getattr(model, count))]
-    missing = [name for name in names if name not in present]
+    missing = [name for name in dict.fromkeys(names) if name not in present]
     if missing:
         known = ", ".join(name for name in present if name) or "none with a name"
         raise ModelError(f"the model lacks {kind} {', '.join(missing)}; it has {known}")
 
 
-def _sensor(model: mujoco.MjModel, name: str) -> slice:
+def _root(model: mujoco.MjModel, trunk: int, names: Names) -> int:
+    joint = int(model.body_jntadr[trunk])
+    if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
+        raise ModelError(f"body {names.trunk} has no free joint: the trunk must be the body that can move freely")
+    return joint
+
+
+def _actuator_of(model: mujoco.MjModel, joint: int) -> int:
+    """The position actuator of a joint."""
+    name = model.joint(joint).name
+    drives = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint)
+    found = np.flatnonzero(drives & (model.actuator_biasprm[:, 1] < 0.0))
+    if found.size != 1:
+        raise ModelError(f"joint {name} has {found.size} position actuators: expected one")
+    if not model.actuator_ctrllimited[found[0]]:
+        raise ModelError(f"the actuator of joint {name} has no ctrlrange: the task needs to know how far it may go")
+    return int(found[0])
+
+
+def _joint_sensors(model: mujoco.MjModel, pattern: str | None, joints: list[list[str]]) -> Sensors:
+    if pattern is None:
+        return Sensors(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
+    ids = np.array([[model.sensor(pattern.format(name)).id for name in pair] for pair in joints])
+    return Sensors(ids, model.sensor_adr[ids].astype(np.int64))
+
+
+def _trunk_sensor(model: mujoco.MjModel, name: str | None, trunk: int, size: int) -> Sensors:
+    if name is None:
+        return Sensors(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
+    ids = np.array([model.sensor(name).id])
+    index = int(ids[0])
+    if model.sensor_dim[index] != size:
+        raise ModelError(f"sensor {name} has {model.sensor_dim[index]} numbers, expected {size}")
+    kind, object_id = model.sensor_objtype[index], int(model.sensor_objid[index])
+    site = kind == mujoco.mjtObj.mjOBJ_SITE
+    body = int(model.site_bodyid[object_id]) if site else object_id
+    if body != trunk or (site and not np.allclose(np.abs(model.site_quat[object_id]), [1, 0, 0, 0], atol=1e-6)):
+        raise ModelError(f"sensor {name} is not fixed to the trunk with its axes: turn its site as the trunk is")
+    return Sensors(ids, model.sensor_adr[ids].astype(np.int64))
+
+
+def _slice(model: mujoco.MjModel, name: str) -> slice:
     index = model.sensor(name).id
     start = int(model.sensor_adr[index])
     return slice(start, start + int(model.sensor_dim[index]))
-
-
-def _substeps(timestep: float, period: float) -> int:
-    count = round(period / timestep)
-    if count < 1 or abs(count * timestep - period) > 1e-9:
-        raise ModelError(
-            f"the model's time step of {timestep * 1e3:g} ms does not divide the control period of {period * 1e3:g} ms"
-        )
-    return count

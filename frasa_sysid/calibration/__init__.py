@@ -28,7 +28,14 @@ from frasa_sysid.calibration.errors import (
 )
 from frasa_sysid.calibration.files import sha256_of, sha256_of_file, write_atomic
 from frasa_sysid.calibration.history import hold_history
-from frasa_sysid.calibration.load import calibration_id, load_calibration, load_model, read_calibration
+from frasa_sysid.calibration.load import (
+    calibration_id,
+    compile_model,
+    load_calibration,
+    load_model,
+    load_spec,
+    read_calibration,
+)
 from frasa_sysid.calibration.parameters import (
     JOINT_FIELDS,
     LAW_FIELDS,
@@ -60,12 +67,14 @@ __all__ = [
     "add_json_flag",
     "apply",
     "calibration_id",
+    "compile_model",
     "delay_room",
     "delayed_sensors",
     "dofs_of",
     "hold_history",
     "load_calibration",
     "load_model",
+    "load_spec",
     "number",
     "parameter",
     "plain",

@@ -21,10 +21,31 @@ def load_model(path: Path) -> mujoco.MjModel:
         ModelError: no such file, or MuJoCo cannot compile it (MuJoCo's own words are kept), or a
             friction law that cannot be evaluated.
     """
+    return compile_model(load_spec(path), path)
+
+
+def load_spec(path: Path) -> mujoco.MjSpec:
+    """Read a MuJoCo XML file without compiling it, so that it can be changed first.
+
+    Raises:
+        ModelError: no such file, or MuJoCo cannot read it (MuJoCo's own words are kept).
+    """
     if not path.is_file():
         raise ModelError(f"no model at {path}: expected a MuJoCo XML file")
     try:
-        model = mujoco.MjModel.from_xml_path(str(path))
+        return mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise ModelError(f"{path}: MuJoCo cannot compile it: {' '.join(str(error).split())}") from error
+
+
+def compile_model(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
+    """Compile what was read from a file; a friction law works from here on in this process.
+
+    Raises:
+        ModelError: MuJoCo cannot compile it (its own words are kept), or a friction law that cannot be evaluated.
+    """
+    try:
+        model: mujoco.MjModel = spec.compile()
     except ValueError as error:
         raise ModelError(f"{path}: MuJoCo cannot compile it: {' '.join(str(error).split())}") from error
     if servo_law.has_law(model):

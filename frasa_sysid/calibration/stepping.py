@@ -85,3 +85,26 @@ def set_armature(model: mujoco.MjModel, dofs: npt.NDArray[np.int64], armature: f
 def armature_of(model: mujoco.MjModel, dof: int) -> float:
     """Armature J of a joint [kg m^2]."""
     return float(model.dof_armature[dof] - lead(model) * model.dof_damping[dof])
+
+
+def restep(model: mujoco.MjModel, timestep: float | None = None, integrator: int | None = None) -> None:
+    """Give a model another time step [s] or integrator, in place, and leave its joints' inertia as it is.
+
+    What stands in the model for damping and hard friction rows follows the step; every joint that an actuator
+    turns counts as a servo's.
+
+    Raises:
+        ModelError: a time step that is none.
+    """
+    wanted = float(model.opt.timestep) if timestep is None else timestep
+    if not (np.isfinite(wanted) and wanted > 0.0):
+        raise ModelError(f"a time step of {wanted} s: expected a positive number")
+    turns = np.isin(model.actuator_trntype, (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    dofs = np.unique(model.jnt_dofadr[model.actuator_trnid[turns, 0]])
+    inertia = model.dof_armature[dofs] - lead(model) * model.dof_damping[dofs]
+    hard = dofs[np.isclose(model.dof_solref[dofs, 0], HARD_STEPS * model.opt.timestep, rtol=1e-9, atol=0.0)]
+    model.opt.timestep = wanted
+    if integrator is not None:
+        model.opt.integrator = integrator
+    model.dof_armature[dofs] = inertia + lead(model) * model.dof_damping[dofs]
+    model.dof_solref[hard, 0] = HARD_STEPS * wanted

@@ -1,0 +1,183 @@
+"""FRASA's published environment as it behaves (Rhoban/frasa at 78457df), for comparison with ours.
+
+What it does otherwise, by the numbers of our notes on it, each held by a test:
+
+D1  joints are read on the left side only
+D2  joint velocity is the difference of 15 samples, which span 28 ms, divided by 30 ms
+D3  pitch and its rate are exactly one control period old, joints and commands not at all
+D4  the "random time ratio" only cuts saturated actions by up to 2 %
+B5  the observation holds the action before the one just applied
+B6  robots are randomized after they have settled: joints jump, and nothing derived from masses follows; mass changes
+    without inertia
+B7  robots settle under the randomized model of the episode before
+B8  the starting pose ignores the seed
+    joints start at U(-pi, pi) clipped to the command limits, the trunk 0.4 m above the floor, 2 s to settle
+    an episode has 101 steps
+D16 only the trunk's mass and centre of mass are randomized (ours too, beside what is measured)
+
+Not reproduced, as they change no number: ignored options and warnings (B9, B10), a crash on current numpy (B11),
+dead configuration (D13 to B15), names in the code (B18, D19). B12 was mended there before that commit.
+"""
+
+import copy
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from math import pi
+
+import mujoco
+import numpy as np
+from numpy.random import Generator
+
+from frasa_rl.config import Assumed, Physics, Task
+from frasa_rl.falls import Release, let_go, standing
+from frasa_rl.readings import Readings, Truth
+from frasa_rl.robot import Floats, Robot
+from frasa_rl.simulation import Simulation, Start
+from frasa_sysid.calibration import number
+
+VELOCITY_WINDOW_S = 0.030
+TIME_RATIO = (0.98, 1.02)
+SETTLE_S, HEIGHT = 2.0, 0.4
+EXTRA_STEPS = 1  # an episode ends after its time has passed, not when it is reached
+
+
+def compat_task(task: Task) -> Task:
+    """The task as the published environment has it: its physics, its steps, its errors."""
+    return replace(task, compat="frasa2024", physics=Physics(timestep=0.002, integrator="euler"), falling_share=0.0)
+
+
+@dataclass
+class Memory:
+    """What the published environment remembers of each robot between two control steps.
+
+    Args:
+        count: of robots.
+        joints: moved on each side.
+    """
+
+    count: int
+    joints: int
+    pitch: Floats = field(init=False)
+    rate: Floats = field(init=False)
+    velocity: Floats = field(init=False)
+    last: Floats = field(init=False)
+    shown: Floats = field(init=False)
+    new: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.pitch, self.rate = np.zeros(self.count), np.zeros(self.count)
+        self.velocity = np.zeros((self.count, self.joints, 2))
+        self.last, self.shown = np.zeros((self.count, self.joints)), np.zeros((self.count, self.joints))
+        self.new = np.ones(self.count, dtype=bool)
+
+    def forget(self, index: int) -> None:
+        """Another robot: its histories are filled with what is, its turning rate with zeros."""
+        self.rate[index] = self.velocity[index] = self.last[index] = self.shown[index] = 0.0
+        self.new[index] = True
+
+    def keep(self, sim: Simulation, robot: Robot, before: Truth, actions: Floats) -> None:
+        """Remember a control step: the truth before it, the path through it, the actions applied in it."""
+        window = round(VELOCITY_WINDOW_S / sim.timestep)
+        positions = sim.path[:, :, 1 + robot.qpos]
+        self.velocity = (positions[:, -1] - positions[:, -window]) / (window * sim.timestep)
+        self.pitch, self.rate = before.pitch, before.turning[:, 1].copy()
+        self.shown, self.last = self.last, actions.copy()
+        self.new[:] = False
+
+    def read(self, now: Truth) -> tuple[Readings, Floats]:
+        """What it shows now, and which action it takes for the previous one."""
+        pitch = np.where(self.new, now.pitch, self.pitch)
+        return Readings(now.positions, self.velocity, pitch, self.rate), self.shown
+
+
+class CompatStarts:
+    """Starts as the published environment makes them, one after the other.
+
+    Args:
+        model: of the task; written to.
+        robot: where things are in it.
+        task: how robots are released.
+        draw: writes a random robot into the model and returns what was drawn.
+    """
+
+    def __init__(self, model: mujoco.MjModel, robot: Robot, task: Task, draw: "Draw | None") -> None:
+        self._model, self._robot, self._task, self._draw = model, robot, task, draw
+        self._before = copy.copy(model)  # B7: what the next robot settles under
+        self._data = mujoco.MjData(model)
+
+    def make(self, rngs: Sequence[Generator]) -> list[Start]:
+        """One start for each generator, in their order."""
+        return [self._one(rng) for rng in rngs]
+
+    def _one(self, rng: Generator) -> Start:
+        start = let_go(self._before, self._data, self._robot, self._task, self._release(), {})
+        root = 1 + self._robot.root_qpos + 2
+        start.state[root] += HEIGHT - self._data.qpos[self._robot.root_qpos + 2]
+        settled = self._settle(start)
+        drawn = self._draw(rng) if self._draw is not None else {}
+        after = copy.copy(self._model)  # B6: no forward, no derived constants
+        after.sensor_delay[:] = self._before.sensor_delay
+        self._before = after
+        return replace(settled, model=after, drawn=drawn)
+
+    def _release(self) -> Release:
+        robot, task, half = self._robot, self._task, np.radians(self._task.start_pitch_deg)
+        if random.random() < task.near_target_share:  # B8: the process' own generator
+            pose, pitch = standing(task)
+            offsets = [random.uniform(-1.0, 1.0) * task.near_target_spread for _ in pose]
+            return Release(np.clip(pose + offsets, *robot.limits.T), pitch, SETTLE_S)
+        joints = np.clip([random.uniform(-pi, pi) for _ in task.joints], *robot.limits.T)
+        return Release(joints, random.uniform(-half, half), SETTLE_S)
+
+    def _settle(self, start: Start) -> Start:
+        sim = Simulation(start.model, 1)
+        try:
+            sim.put(0, start)
+            sim.advance(np.repeat(sim.ctrl[:, None], round(SETTLE_S / sim.timestep), axis=1))
+            return replace(start, state=sim.state[0].copy(), sensors=sim.sensors[0].copy())
+        finally:
+            sim.close()
+
+
+class Draw:
+    """Writes a random robot into a model as the published environment does, deriving nothing (B6).
+
+    Args:
+        model: changed in place by a call; as it is now, it is the original.
+        robot: where things are in it.
+        task: holds the ranges.
+    """
+
+    _FIELDS = ("geom_friction", "geom_priority", "body_mass", "body_ipos", "actuator_gainprm", "actuator_biasprm",
+               "actuator_forcerange", "dof_damping", "dof_frictionloss", "qpos0")  # fmt: skip
+
+    def __init__(self, model: mujoco.MjModel, robot: Robot, task: Task) -> None:
+        self._model, self._robot, self._ranges = model, robot, task.assumed
+        self._originals = {name: getattr(model, name).copy() for name in self._FIELDS}
+        self._voltage = number(model, "servo_supply_voltage")
+
+    def __call__(self, rng: Generator) -> dict[str, float]:
+        """Draw one, and return what was drawn."""
+        model, ranges = self._model, self._ranges
+        for name, value in self._originals.items():
+            getattr(model, name)[:] = value
+        drawn = {
+            name: float(rng.uniform(one.low, one.high))
+            for name, one in vars(ranges).items()
+            if isinstance(one, Assumed) and name not in ("trunk_com", "joint_zero")
+        }
+        model.geom_friction[self._robot.floor, 0] = drawn["floor_friction"]
+        model.geom_priority[self._robot.floor] = 1
+        model.body_mass[self._robot.trunk] *= drawn["trunk_mass"]  # without inertia
+        model.body_ipos[self._robot.trunk] += rng.uniform(ranges.trunk_com.low, ranges.trunk_com.high, 3)
+        ratio = drawn["supply_voltage"] / self._voltage
+        model.actuator_gainprm[:, 0] *= ratio
+        model.actuator_biasprm[:, 1] *= ratio
+        model.actuator_forcerange *= ratio
+        model.dof_damping *= drawn["damping"]
+        model.dof_frictionloss *= drawn["frictionloss"]
+        hinges = model.jnt_qposadr[np.unique(model.actuator_trnid[:, 0])]
+        model.qpos0[hinges] += rng.uniform(ranges.joint_zero.low, ranges.joint_zero.high, hinges.size)
+        drawn["time_ratio"] = float(rng.uniform(*TIME_RATIO))  # D4
+        return drawn

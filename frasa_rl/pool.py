@@ -1,0 +1,118 @@
+"""A pool of settled starts, made once from a seed and kept on disk under the hash of all it depends on."""
+
+import io
+import os
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import yaml
+
+from frasa_rl.compat2024 import CompatStarts, Draw
+from frasa_rl.config import Task
+from frasa_rl.falls import Kind
+from frasa_rl.simulation import FULL, Start, fresh
+from frasa_rl.starts import StartMaker
+from frasa_sysid.calibration import Calibration, plain, sha256_of, write_atomic
+
+VERSION = 1  # of what a pool holds; another one is made anew
+_BLOCK = 64
+
+
+def pool_key(model: mujoco.MjModel, task: Task, calibration: Calibration | None, count: int, seed: int) -> str:
+    """Hash of all that a pool depends on: model, task, ranges, its size and seed, and MuJoCo."""
+    content = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    ranges = calibration.to_dict() if calibration else None
+    said = yaml.safe_dump([plain(asdict(task)), plain(ranges), count, seed, VERSION, mujoco.__version__])
+    return sha256_of(content.tobytes() + said.encode())[:32]
+
+
+def cache_folder() -> Path:
+    """Where pools are kept: `$FRASA_CACHE`, else the user's cache folder."""
+    users = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+    return Path(os.environ.get("FRASA_CACHE") or users / "frasa")
+
+
+class Pool:
+    """Settled starts to choose from; each has a robot of its own.
+
+    Args:
+        maker: makes them.
+        calibration: the ranges the maker draws from.
+        count: of starts.
+        seed: of all of them.
+        folder: where to keep it; None keeps nothing.
+        tell: called with the share done while it is made.
+    """
+
+    def __init__(
+        self,
+        maker: StartMaker,
+        calibration: Calibration | None,
+        count: int,
+        seed: int,
+        folder: Path | None = None,
+        tell: Callable[[float], None] = lambda _: None,
+    ) -> None:
+        self._maker, self._seed = maker, seed
+        if maker.task.compat:
+            draw = Draw(maker.model, maker.robot, maker.task) if maker.randomizer else None
+            compat = CompatStarts(maker.model, maker.robot, maker.task, draw)
+            self.starts = [compat.make([self._rng(i)])[0] for i in range(count)]
+            return
+        path = None
+        if folder is not None:
+            path = folder / f"starts-{pool_key(maker.model, maker.task, calibration, count, seed)}.npz"
+        kept = _load(path) if path is not None and path.is_file() else None
+        if kept is not None and self._fits(kept, count):
+            self.starts = [self._restore(i, kept) for i in range(count)]
+            return
+        self.starts = self._make(count, tell)
+        if path is not None:
+            write_atomic(path, _packed(self.starts))
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+    def _rng(self, index: int) -> np.random.Generator:
+        return np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(index,)))
+
+    def _make(self, count: int, tell: Callable[[float], None]) -> list[Start]:
+        starts: list[Start] = []
+        kinds: list[Kind] = ["any"]
+        for first in range(0, count, _BLOCK):
+            block = [self._rng(i) for i in range(first, min(first + _BLOCK, count))]
+            starts += self._maker.make(block, kinds * len(block))
+            tell(len(starts) / count)
+        return starts
+
+    def _fits(self, kept: dict[str, np.ndarray], count: int) -> bool:
+        model = self._maker.model
+        shapes = {"state": (count, mujoco.mj_stateSize(model, FULL)), "ctrl": (count, model.nu)}
+        shapes["sensors"] = (count, model.nsensordata)
+        return all(name in kept and kept[name].shape == shape for name, shape in shapes.items())
+
+    def _restore(self, index: int, kept: dict[str, np.ndarray]) -> Start:
+        """The robot is drawn again from its seed, where it settled is read."""
+        model, drawn = self._maker.draw_robot(self._rng(index))
+        ages = fresh(model)
+        return Start(model, kept["state"][index], kept["ctrl"][index], kept["sensors"][index], ages, drawn)
+
+
+def _packed(starts: list[Start]) -> bytes:
+    file = io.BytesIO()
+    state, ctrl, sensors = (np.stack([getattr(one, name) for one in starts]) for name in ("state", "ctrl", "sensors"))
+    np.savez(file, state=state, ctrl=ctrl, sensors=sensors)
+    return file.getvalue()
+
+
+def _load(path: Path) -> dict[str, np.ndarray] | None:
+    """What a file holds; None when it is damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except (OSError, ValueError, EOFError, KeyError):
+        return None

@@ -1,0 +1,148 @@
+"""Many robots at once through `mujoco.rollout`: arrays in, arrays out, no Python between two physics steps."""
+
+import os
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from frasa_rl.robot import Floats
+
+FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)  # begins with time, qpos, qvel
+
+
+@dataclass(frozen=True)
+class Start:
+    """A robot about to begin: its own model and where it is.
+
+    Attributes:
+        model: not written to by anyone.
+        state: MuJoCo's full physics state, delay histories included, shape (ns,).
+        ctrl: what every actuator is commanded [rad], shape (nu,).
+        sensors: `sensordata`, one physics step old as after a step, shape (nsensordata,).
+        ages: delay of every sensor [s], shape (nsensor,); the model's own are shorter by a step (see `fresh`).
+        drawn: what was randomized, by name.
+    """
+
+    model: mujoco.MjModel
+    state: Floats
+    ctrl: Floats
+    sensors: Floats
+    ages: Floats
+    drawn: dict[str, float]
+
+
+def fresh(model: mujoco.MjModel) -> Floats:
+    """Shorten every sensor's delay by one physics step, in place, and return the delays there were, shape (nsensor,).
+
+    A step computes sensors before it moves, so at its end they are one step old. With the delay
+    shorter by that step the reading is exactly as old as the delay says, at no cost; one of less
+    than a step is made up with the present state (`readings`).
+    """
+    ages: Floats = np.where(model.sensor_history[:, 0] > 0, model.sensor_delay, 0.0)
+    model.sensor_delay[:] = np.where(ages > 0.0, np.maximum(model.sensor_delay - model.opt.timestep, 0.0), 0.0)
+    return ages
+
+
+def all_threads() -> int:
+    """Processor cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Simulation:
+    """Robots side by side, each with a model of its own.
+
+    Attributes:
+        models: one for each robot, all of the same sizes.
+        state: present full physics states, shape (count, ns).
+        sensors: present sensor data, shape (count, nsensordata).
+        ctrl: present commands [rad], shape (count, nu).
+        path: states after every physics step of the last `advance`, shape (count, steps, ns).
+        sensor_path: sensor data of these steps, each taken as its step began, shape (count, steps, nsensordata).
+        diverged: whose simulation blew up in the last `advance`, shape (count,).
+
+    Args:
+        model: what all robots are until they are `put`.
+        count: of robots.
+        threads: to step them with; None for one a core.
+    """
+
+    def __init__(self, model: mujoco.MjModel, count: int, threads: int | None = None) -> None:
+        self.count, self.nq, self.nv = count, int(model.nq), int(model.nv)
+        self.timestep = float(model.opt.timestep)
+        self.models = [model] * count
+        self.state = np.zeros((count, mujoco.mj_stateSize(model, FULL)))
+        self.sensors = np.zeros((count, model.nsensordata))
+        self.ctrl = np.zeros((count, model.nu))
+        self.diverged = np.zeros(count, dtype=bool)
+        self.path = np.zeros((count, 0, self.state.shape[1]))
+        self.sensor_path = np.zeros((count, 0, model.nsensordata))
+        workers = min(threads or all_threads(), count)
+        self._data = [mujoco.MjData(model) for _ in range(workers)]
+        self._pool = rollout.Rollout(nthread=workers if workers > 1 else 0)
+        # A robot that lies takes half the time of one that stands: small chunks keep all threads busy.
+        self._chunk = max(1, count // (8 * workers))
+
+    @property
+    def qpos(self) -> Floats:
+        """Present positions, shape (count, nq)."""
+        return self.state[:, 1 : 1 + self.nq]
+
+    @property
+    def qvel(self) -> Floats:
+        """Present velocities, shape (count, nv)."""
+        return self.state[:, 1 + self.nq : 1 + self.nq + self.nv]
+
+    def put(self, index: int, start: Start) -> None:
+        """Make one robot another."""
+        self.models[index] = start.model
+        self.state[index], self.sensors[index], self.ctrl[index] = start.state, start.sensors, start.ctrl
+        self.diverged[index] = False
+
+    def advance(self, commands: Floats) -> None:
+        """Step all robots.
+
+        Args:
+            commands: of every actuator for every physics step [rad], shape (count, steps, nu).
+        """
+        steps = commands.shape[1]
+        if self.path.shape[1] != steps:
+            self.path = np.zeros((self.count, steps, self.state.shape[1]))
+            self.sensor_path = np.zeros((self.count, steps, self.sensors.shape[1]))
+        time = self.state[:, 0].copy()
+        self._pool.rollout(
+            self.models,
+            self._data,
+            self.state,
+            np.ascontiguousarray(commands),
+            nstep=steps,
+            skip_checks=True,
+            state=self.path,
+            sensordata=self.sensor_path,
+            chunk_size=self._chunk,
+        )
+        self.state[:] = self.path[:, -1]
+        self.sensors[:] = self.sensor_path[:, -1]
+        self.ctrl[:] = commands[:, -1]
+        # MuJoCo stops a rollout at its first warning and repeats what it had: the clock tells.
+        late = np.abs(self.state[:, 0] - time - steps * self.timestep) > 0.5 * self.timestep
+        moving = self.state[:, 1 : 1 + self.nq + self.nv]
+        self.diverged = late | ~np.isfinite(moving).all(axis=1)
+
+    def close(self) -> None:
+        """End the threads."""
+        self._pool.close()
+
+
+def state_of(model: mujoco.MjModel, data: mujoco.MjData) -> Floats:
+    """The full physics state of one robot, shape (ns,)."""
+    state = np.zeros(mujoco.mj_stateSize(model, FULL))
+    mujoco.mj_getState(model, data, state, FULL)
+    return state
+
+
+def set_state(model: mujoco.MjModel, data: mujoco.MjData, state: Floats) -> None:
+    """The other way round; then `mj_forward`."""
+    mujoco.mj_setState(model, data, state, FULL)
+    mujoco.mj_forward(model, data)
