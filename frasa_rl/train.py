@@ -7,11 +7,8 @@ runs/NAME/checkpoints/        the newest checkpoint;  tensorboard/  the learner'
 """
 
 import platform
-import signal
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +21,10 @@ import torch
 import yaml
 from sb3_contrib import CrossQ
 from stable_baselines3.common.logger import configure
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecMonitor
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
 from frasa_rl import __version__
+from frasa_rl.bars import shown_share
 from frasa_rl.checkpoint import load_checkpoint, save_checkpoint
 from frasa_rl.config import Task
 from frasa_rl.learner import build, plain_policy
@@ -34,7 +32,7 @@ from frasa_rl.observation import layout
 from frasa_rl.policy import FOLDER, RUN_FILE, read_run
 from frasa_rl.progress import Progress, stop_on_signals
 from frasa_rl.settings import Settings
-from frasa_rl.standup_env import StandUp
+from frasa_rl.vec_env import StandUpVecEnv
 from frasa_sysid.calibration import (
     CalibrationError,
     InputError,
@@ -61,7 +59,6 @@ class Plan:
         settings: of the learner.
         steps, minutes: the run ends at whichever comes first; None for no limit.
         device: `auto`, `cpu` or `cuda`.
-        parallel: a process for every environment, instead of all in this one.
     """
 
     model: Path
@@ -70,7 +67,6 @@ class Plan:
     steps: int | None = None
     minutes: float | None = None
     device: str = "auto"
-    parallel: bool = False
 
 
 def train(plan: Plan, *, resume: bool = False) -> dict[str, Any]:
@@ -122,7 +118,6 @@ def describe(plan: Plan) -> dict[str, Any]:
             "steps": plan.steps,
             "minutes": plan.minutes,
             "device": plan.device,
-            "parallel": plan.parallel,
             "settings": asdict(plan.settings),
             "observation": [{"name": one.name, "size": one.size, "unit": one.unit} for one in layout(task)],
             "task": asdict(task),
@@ -158,7 +153,6 @@ def plan_of(run: Path) -> Plan:
             steps=said["steps"],
             minutes=said["minutes"],
             device=said["device"],
-            parallel=said["parallel"],
         )
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{run / RUN_FILE}: missing or wrong field: {error!r}") from error
@@ -173,16 +167,12 @@ def model_hash(model: mujoco.MjModel) -> str:
 
 def make_envs(plan: Plan) -> VecEnv:
     """The environments of a run, each with its own model."""
-    makers: list[Callable[[], gymnasium.Env[Any, Any]]] = [
-        partial(_make_env, plan.model, task_of(plan.settings), plan.parallel) for _ in range(plan.settings.envs)
-    ]
-    return VecMonitor(SubprocVecEnv(makers) if plan.parallel else DummyVecEnv(makers))
-
-
-def _make_env(model: Path, task: Task, alone: bool) -> StandUp:
-    if alone:  # a process of its own: Ctrl-C is for the learner, which closes the environments when it is done
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return StandUp(model, task)
+    settings = plan.settings
+    with shown_share(f"settling {settings.pool} starts") as tell:
+        envs = StandUpVecEnv(
+            plan.model, task_of(settings), settings.envs, pool=settings.pool, seed=settings.seed, tell=tell
+        )
+    return VecMonitor(envs)
 
 
 def _learn(model: CrossQ, plan: Plan, description: dict[str, Any], elapsed_s: float) -> dict[str, Any]:
