@@ -2,6 +2,7 @@
 
 import io
 import os
+import zipfile
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -63,16 +64,17 @@ class Pool:
             compat = CompatStarts(maker.model, maker.robot, maker.task, draw)
             self.starts = [compat.make([self._rng(i)])[0] for i in range(count)]
             return
-        path = None
-        if folder is not None:
-            path = folder / f"starts-{pool_key(maker.model, maker.task, calibration, count, seed)}.npz"
-        kept = _load(path) if path is not None and path.is_file() else None
-        if kept is not None and self._fits(kept, count):
+        if folder is None:
+            self.starts = self._make(count, tell)
+            return
+        key = pool_key(maker.original, maker.task, calibration, count, seed)
+        path = folder / f"starts-{key}.npz"
+        kept = _load(path) if path.is_file() else None
+        if kept is not None and self._fits(kept, count, key):
             self.starts = [self._restore(i, kept) for i in range(count)]
             return
         self.starts = self._make(count, tell)
-        if path is not None:
-            write_atomic(path, _packed(self.starts))
+        write_atomic(path, _packed(self.starts, key))
 
     def __len__(self) -> int:
         return len(self.starts)
@@ -89,24 +91,38 @@ class Pool:
             tell(len(starts) / count)
         return starts
 
-    def _fits(self, kept: dict[str, np.ndarray], count: int) -> bool:
+    def _fits(self, kept: dict[str, np.ndarray], count: int, key: str) -> bool:
+        """Whether a file holds what its name says: numbers of the right shapes, as they were written."""
         model = self._maker.model
         shapes = {"state": (count, mujoco.mj_stateSize(model, FULL)), "ctrl": (count, model.nu)}
-        shapes["sensors"] = (count, model.nsensordata)
-        return all(name in kept and kept[name].shape == shape for name, shape in shapes.items())
+        shapes["sensors"] = shapes["older"] = (count, model.nsensordata)
+        if set(kept) != {*shapes, "mark"} or any(kept[name].dtype != np.float64 for name in shapes):
+            return False
+        return all(kept[name].shape == shape for name, shape in shapes.items()) and str(kept["mark"]) == _mark(
+            kept, key
+        )
 
     def _restore(self, index: int, kept: dict[str, np.ndarray]) -> Start:
         """The robot is drawn again from its seed, where it settled is read."""
         model, drawn = self._maker.draw_robot(self._rng(index))
         ages = fresh(model)
-        return Start(model, kept["state"][index], kept["ctrl"][index], kept["sensors"][index], ages, drawn)
+        state, ctrl, sensors, older = (kept[name][index] for name in _KEPT)
+        return Start(model, state, ctrl, sensors, ages, drawn, older)
 
 
-def _packed(starts: list[Start]) -> bytes:
+_KEPT = ("state", "ctrl", "sensors", "older")
+
+
+def _packed(starts: list[Start], key: str) -> bytes:
     file = io.BytesIO()
-    state, ctrl, sensors = (np.stack([getattr(one, name) for one in starts]) for name in ("state", "ctrl", "sensors"))
-    np.savez(file, state=state, ctrl=ctrl, sensors=sensors)
+    kept = {name: np.stack([getattr(one, name) for one in starts]) for name in _KEPT}
+    np.savez(file, mark=np.array(_mark(kept, key)), **kept)
     return file.getvalue()
+
+
+def _mark(kept: dict[str, np.ndarray], key: str) -> str:
+    """Hash of the numbers and of what they were made from."""
+    return sha256_of(b"".join(kept[name].tobytes() for name in _KEPT) + key.encode())
 
 
 def _load(path: Path) -> dict[str, np.ndarray] | None:
@@ -114,5 +130,5 @@ def _load(path: Path) -> dict[str, np.ndarray] | None:
     try:
         with np.load(path, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, KeyError):
+    except (OSError, ValueError, EOFError, KeyError, NotImplementedError, zipfile.BadZipFile):
         return None

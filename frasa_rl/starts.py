@@ -24,6 +24,11 @@ _ATONCE = 64
 class StartMaker:
     """Makes starts of a task.
 
+    Attributes:
+        model: that of the robot drawn last.
+        original: as it was given.
+        robot: where things are in both.
+
     Args:
         model: of the task (`build_model`), nobody else's: it is written to.
         task: how robots are released.
@@ -42,6 +47,7 @@ class StartMaker:
         threads: int | None = None,
     ) -> None:
         self.model, self.task = model, task
+        self.original = copy.copy(model)  # what no draw has written to
         self.robot: Robot = find_robot(model, task)
         self.randomizer = Randomizer(model, self.robot, task, calibration) if randomize else None
         self._threads = threads
@@ -131,4 +137,4 @@ class _Try:
         state = sim.state[slot].copy()
         if sim.diverged[slot] or not as_asked(self._maker.robot, state, self._maker.task, self._kind):
             return None
-        return replace(self._start, state=state, sensors=sim.sensors[slot].copy())
+        return replace(self._start, state=state, sensors=sim.sensors[slot].copy(), older=sim.older[slot].copy())
