@@ -79,7 +79,7 @@ class Alone:
             age = self.ages[sensors.ids].reshape(*np.atleast_2d(sensors.ids).shape, 1)
             # MuJoCo has no sample younger than its last step: between that and now it is a straight line.
             young = now.reshape(seen.shape) + age / h * (old - now).reshape(seen.shape)
-            found.append(np.where((0 < age) & (age < h), young, seen))
+            found.append(np.where((age > 0) & (age < h), young, seen))
         q, v, quaternion, turning = found
         return q[:, :, 0], v[:, :, 0], pitch_of(quaternion[0, 0]), turning[0, 0, 1]
 
