@@ -128,7 +128,10 @@ def _mark(kept: dict[str, np.ndarray], key: str) -> str:
 def _load(path: Path) -> dict[str, np.ndarray] | None:
     """What a file holds; None when it is damaged."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        file = np.load(path, allow_pickle=False)
+        if not isinstance(file, np.lib.npyio.NpzFile):
+            return None
+        with file:
             return {name: file[name] for name in file.files}
     except (OSError, ValueError, EOFError, KeyError, NotImplementedError, zipfile.BadZipFile):
         return None
