@@ -116,7 +116,8 @@ _KEPT = ("state", "ctrl", "sensors", "older")
 def _packed(starts: list[Start], key: str) -> bytes:
     file = io.BytesIO()
     kept = {name: np.stack([getattr(one, name) for one in starts]) for name in _KEPT}
-    np.savez(file, mark=np.array(_mark(kept, key)), **kept)
+    state, ctrl, sensors, older = (kept[name] for name in _KEPT)
+    np.savez(file, state=state, ctrl=ctrl, sensors=sensors, older=older, mark=np.array(_mark(kept, key)))
     return file.getvalue()
 
 

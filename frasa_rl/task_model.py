@@ -5,7 +5,7 @@ state of 4,400 numbers, and each physics step writes one); no number of the robo
 """
 
 from collections.abc import Callable
-from math import ceil
+from math import ceil, isfinite
 from pathlib import Path
 
 import mujoco
@@ -41,7 +41,9 @@ def build_model(
     """
     spec = load_spec(path)
     written = float(spec.option.timestep)
-    wanted = task.physics.timestep or written
+    wanted = written if task.physics.timestep is None else task.physics.timestep
+    if not (isfinite(wanted) and wanted > 0.0):
+        raise ModelError(f"a time step of {wanted} s: expected a positive number")
     _prune(spec, set(sensor_names(task)), written / wanted)
     if not textures:
         _drop_textures(spec)
