@@ -16,10 +16,9 @@ from frasa_rl.config import Task
 from frasa_rl.falls import Kind
 from frasa_rl.simulation import FULL, Start, fresh
 from frasa_rl.starts import StartMaker
-from frasa_sysid.calibration import Calibration, plain, sha256_of, write_atomic
+from frasa_sysid.calibration import Calibration, UsageError, plain, sha256_of, write_atomic
 
 VERSION = 1  # of what a pool holds; another one is made anew
-_BLOCK = 64
 
 
 def pool_key(model: mujoco.MjModel, task: Task, calibration: Calibration | None, count: int, seed: int) -> str:
@@ -47,6 +46,10 @@ class Pool:
         seed: of all of them.
         folder: where to keep it; None keeps nothing.
         tell: called with the share done while it is made.
+
+    Raises:
+        UsageError: no start is asked for.
+        ModelError: no release came to rest as asked.
     """
 
     def __init__(
@@ -58,6 +61,8 @@ class Pool:
         folder: Path | None = None,
         tell: Callable[[float], None] = lambda _: None,
     ) -> None:
+        if count < 1:
+            raise UsageError(f"a pool of {count} starts: expected at least 1")
         self._maker, self._seed = maker, seed
         if maker.task.compat:
             draw = Draw(maker.model, maker.robot, maker.task) if maker.randomizer else None
@@ -83,13 +88,8 @@ class Pool:
         return np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(index,)))
 
     def _make(self, count: int, tell: Callable[[float], None]) -> list[Start]:
-        starts: list[Start] = []
-        kinds: list[Kind] = ["any"]
-        for first in range(0, count, _BLOCK):
-            block = [self._rng(i) for i in range(first, min(first + _BLOCK, count))]
-            starts += self._maker.make(block, kinds * len(block))
-            tell(len(starts) / count)
-        return starts
+        kinds: list[Kind] = ["any"] * count
+        return self._maker.make([self._rng(i) for i in range(count)], kinds, tell)
 
     def _fits(self, kept: dict[str, np.ndarray], count: int, key: str) -> bool:
         """Whether a file holds what its name says: numbers of the right shapes, as they were written."""

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from mujoco import rollout
 
 from frasa_rl.robot import Floats
+from frasa_sysid.calibration import UsageError
 
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)  # begins with time, qpos, qvel
 
@@ -76,9 +77,14 @@ class Simulation:
         model: what all robots are until they are `put`.
         count: of robots.
         threads: to step them with; None for one a core.
+
+    Raises:
+        UsageError: no robots or no threads.
     """
 
     def __init__(self, model: mujoco.MjModel, count: int, threads: int | None = None) -> None:
+        if count < 1 or (threads is not None and threads < 1):
+            raise UsageError(f"{count} robots on {threads} threads: expected at least 1 of both")
         self.count, self.nq, self.nv = count, int(model.nq), int(model.nv)
         self.timestep = float(model.opt.timestep)
         self.models = [model] * count

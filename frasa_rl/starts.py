@@ -2,7 +2,7 @@
 
 import copy
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -61,11 +61,18 @@ class StartMaker:
         drawn = self.randomizer.draw(rng)
         return copy.copy(self.model), drawn
 
-    def make(self, rngs: Sequence[Generator], kinds: Sequence[Kind]) -> list[Start]:
+    def make(
+        self, rngs: Sequence[Generator], kinds: Sequence[Kind], tell: Callable[[float], None] = lambda _: None
+    ) -> list[Start]:
         """One start from each generator; it does not depend on what the others are.
 
         A draw that diverges, or comes to rest where the episode would already be over or on another side
         than asked, is released anew.
+
+        Args:
+            rngs: of every start.
+            kinds: of every start.
+            tell: called with the share done, whenever it has grown.
 
         Raises:
             ModelError: no release came to rest as asked.
@@ -91,6 +98,7 @@ class StartMaker:
                             sim.put(slot, one.begin())
                             continue
                         done[one.index], slots[slot] = settled, None
+                        tell(len(done) / len(tries))
         finally:
             sim.close()
         return [done[index] for index in range(len(tries))]

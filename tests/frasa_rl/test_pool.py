@@ -10,9 +10,10 @@ import pytest
 from frasa_rl import starts
 from frasa_rl.config import Task
 from frasa_rl.pool import Pool, cache_folder, pool_key
+from frasa_rl.simulation import Simulation
 from frasa_rl.starts import StartMaker
 from frasa_rl.task_model import build_model
-from frasa_sysid.calibration import Range, load_calibration
+from frasa_sysid.calibration import Range, UsageError, load_calibration
 
 TASK = replace(Task(), near_target_share=0.5, falling_share=0.3)  # quick to make, some of every kind
 
@@ -183,6 +184,23 @@ def test_a_kill_while_writing_leaves_no_half_file(calibrated, folder, monkeypatc
     with pytest.raises(KeyboardInterrupt):
         pool_of(calibrated, folder, count=2)
     assert not list(folder.iterdir())
+
+
+def test_progress_is_told(calibrated):
+    """The share done grows from start to start to 1."""
+    told = []
+    Pool(maker_of(calibrated), load_calibration(calibrated), 5, 0, None, told.append)
+    np.testing.assert_allclose(told, [0.2, 0.4, 0.6, 0.8, 1.0])
+
+
+def test_nothing_to_make_is_refused(calibrated):
+    """A pool without starts, robots without threads, no robots: said, not divided by."""
+    with pytest.raises(UsageError, match="pool of 0 starts"):
+        Pool(maker_of(calibrated), None, 0, 0)
+    model = build_model(calibrated, TASK)
+    for count, threads in ((0, None), (1, 0), (2, -1)):
+        with pytest.raises(UsageError, match="expected at least 1"):
+            Simulation(model, count, threads)
 
 
 def test_the_cache_folder_can_be_chosen(monkeypatch, tmp_path):
