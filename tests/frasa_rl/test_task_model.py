@@ -134,16 +134,25 @@ def pairs_of(model, qpos):
     return {tuple(sorted(model.geom_bodyid[one.geom].tolist())) for one in data.contact}
 
 
-def test_without_self_collision_only_the_floor_is_touched(nominal):
-    """The same contacts with the floor, and none between parts of the robot."""
-    usual = build_model(nominal, Task())
-    loose = build_model(nominal, replace(Task(), physics=Physics(self_collision=False)))
-    same = build_model(nominal, replace(Task(), physics=Physics(self_collision=True)))
-    floor, rng, crossed = usual.geom_bodyid[usual.geom("floor").id], np.random.default_rng(1), 0
+def ball(spec):
+    """A ball in the robot's chest and the floor; it can go anywhere."""
+    body = spec.worldbody.add_body(name="ball", pos=[0.05, 0, 0.1])
+    body.add_freejoint()
+    body.add_geom(size=[0.15, 0, 0])
+
+
+@pytest.mark.parametrize("add", [None, ball])
+def test_without_self_collision_the_rest_is_still_touched(nominal, add):
+    """The same contacts with the floor and whatever else there is, and none between parts of the robot."""
+    usual = build_model(nominal, Task(), add=add)
+    loose = build_model(nominal, replace(Task(), physics=Physics(self_collision=False)), add=add)
+    same = build_model(nominal, replace(Task(), physics=Physics(self_collision=True)), add=add)
+    others = {usual.geom_bodyid[usual.geom("floor").id]} | ({usual.body("ball").id} if add else set())
+    rng, crossed = np.random.default_rng(1), 0
     for _ in range(30):
-        qpos = np.concatenate([[0, 0, rng.uniform(0.0, 0.2), 1, 0, 0, 0], rng.uniform(-1.5, 1.5, 20)])
+        qpos = np.concatenate([[0, 0, rng.uniform(0.0, 0.2), 1, 0, 0, 0], rng.uniform(-1.5, 1.5, 20), usual.qpos0[27:]])
         before, after = pairs_of(usual, qpos), pairs_of(loose, qpos)
-        assert after == {pair for pair in before if floor in pair}
+        assert after == {pair for pair in before if others & set(pair)}
         assert pairs_of(same, qpos) == before
         assert after
         crossed += len(before) > len(after)
@@ -198,11 +207,7 @@ def test_another_step_has_room_for_the_same_delays(nominal):
 
 
 def test_something_can_be_added_to_the_scene(nominal):
-    """A ball beside the robot is in the model; the robot is as it was."""
-
-    def ball(spec):
-        spec.worldbody.add_body(name="ball", pos=[2, 0, 0.2]).add_geom(size=[0.1, 0, 0])
-
+    """A ball is in the model with the robot, which is as it was."""
     model = build_model(nominal, Task(), add=ball)
     assert model.body("ball").id == model.nbody - 1
     assert find_robot(model, Task()).qpos.shape == (5, 2)

@@ -66,6 +66,25 @@ def test_one_alone_is_one_of_many(calibrated):
             np.testing.assert_array_equal(observation, many_seen[place])
 
 
+def test_a_robot_that_restarts_is_seen_at_its_start(calibrated):
+    """What a step returns of it is the first sight of the new episode; of the others, what they see now."""
+    env, one = make(calibrated, replace(QUICK, end_pitch_deg=60.0)), StandUp(calibrated, QUICK)
+    env.reset()
+    rng, restarts, mixed = np.random.default_rng(0), 0, 0
+    for _ in range(60):
+        seen, _, over, infos = env.step(rng.uniform(-1.0, 1.0, (4, 5)))
+        np.testing.assert_array_equal(seen, env.core.batch.observation)
+        for place in np.flatnonzero(over):
+            (start,) = [s for s in env.pool.starts if s.model is env.core.batch.sim.models[place]]
+            one.core.begin(0, start)
+            np.testing.assert_array_equal(seen[place], one.core.batch.observation[0])
+            assert not np.array_equal(seen[place], infos[place]["terminal_observation"])
+        restarts += int(over.sum())
+        mixed += over.any() and not over.all()
+    assert restarts > 4
+    assert mixed > 2
+
+
 def test_the_same_seed_gives_the_same_numbers(calibrated):
     """Over restarts, with one thread or two, with the pool made or read; another seed gives others."""
     short = replace(QUICK, episode_s=0.5)
