@@ -98,9 +98,8 @@ class Pool:
         shapes["sensors"] = shapes["older"] = (count, model.nsensordata)
         if set(kept) != {*shapes, "mark"} or any(kept[name].dtype != np.float64 for name in shapes):
             return False
-        return all(kept[name].shape == shape for name, shape in shapes.items()) and str(kept["mark"]) == _mark(
-            kept, key
-        )
+        right = all(kept[name].shape == shape for name, shape in shapes.items())
+        return right and str(kept["mark"]) == _mark(kept, key)
 
     def _restore(self, index: int, kept: dict[str, np.ndarray]) -> Start:
         """The robot is drawn again from its seed, where it settled is read."""

@@ -53,6 +53,10 @@ def test_b6_joints_jump_and_nothing_is_derived(theirs, ours):
     (mine,) = ours.make([rng()], ["any"])
     original = theirs.original
     trunk, model = theirs.robot.trunk, start.model
+    for one in (start, mine):  # D16, of a robot that nobody has measured
+        for name in ("body_mass", "body_ipos"):
+            changed = np.flatnonzero(getattr(one.model, name) != getattr(original, name))
+            assert set(changed // (1 if name == "body_mass" else 3)) == {trunk}
     ratio = start.drawn["trunk_mass"]
     assert abs(ratio - 1.0) > 0.01
     assert model.body_mass[trunk] == pytest.approx(original.body_mass[trunk] * ratio)
