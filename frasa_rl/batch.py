@@ -74,16 +74,16 @@ class Batch:
         """Ramp the commands linearly over the period, inside the command limits, and look.
 
         Args:
-            actions: joint rates as a share of the rate limit, in [-1, 1], shape (count, n).
+            actions: joint rates as a share of the rate limit, clipped to [-1, 1], shape (count, n).
         """
         task, robot = self.task, self.robot
-        most = self.fastest[:, None]
-        wanted = self.commands + np.clip(actions, -most, most) * task.rate_limit * self.period_s
+        most, asked = self.fastest[:, None], np.clip(actions, -1.0, 1.0)
+        wanted = self.commands + np.clip(asked, -most, most) * task.rate_limit * self.period_s
         goal = np.clip(wanted, *robot.limits.T)
         between = self.commands[:, None] + self._ramp[:, None] * (goal - self.commands)[:, None]
         controls = np.repeat(self.held[:, None], self._ramp.size, axis=1)
         controls[:, :, robot.actuators] = robot.both_sides(between)
-        self._recent[:-1], self._recent[-1] = self._recent[1:], actions
+        self._recent[:-1], self._recent[-1] = self._recent[1:], asked
         before = self.now
         self.sim.advance(controls)
         self.commands = goal

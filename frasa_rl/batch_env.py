@@ -87,7 +87,10 @@ class StandUpBatch:
         """
         wanted = np.asarray(actions, dtype=np.float64)
         if wanted.shape != self._last.shape or not np.isfinite(wanted).all():
-            raise ValueError(f"actions of shape {wanted.shape}: expected {self._last.shape} finite numbers")
+            robots, n = self._last.shape
+            raise ValueError(
+                f"actions of shape {wanted.shape}: expected {n} finite numbers for each of {robots} robots"
+            )
         before, previous = self.batch.observation, self._last
         self._last = np.clip(wanted, -1.0, 1.0)
         self._steps += 1

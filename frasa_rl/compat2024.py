@@ -11,12 +11,15 @@ B6  robots are randomized after they have settled: joints jump, and nothing deri
     without inertia
 B7  robots settle under the randomized model of the episode before
 B8  the starting pose ignores the seed
-    joints start at U(-pi, pi) clipped to the command limits, the trunk 0.4 m above the floor, 2 s to settle
+    joints start at U(-pi, pi) clipped to the command limits, or near the standing pose by one offset that bends both
+    legs; the trunk's site 0.4 m above the floor, 2 s to settle with straight arms, whose roll follows in the episode
     an episode has 101 steps
 D16 only the trunk's mass and centre of mass are randomized (ours too, beside what is measured)
 
 Not reproduced, as they change no number: ignored options and warnings (B9, B10), a crash on current numpy (B11),
-dead configuration (D13 to B15), names in the code (B18, D19). B12 was mended there before that commit.
+dead configuration (D13 to B15), names in the code (B18, D19). B12 was mended there before that commit. Not reproduced
+either: reward and ends there take the trunk's pitch and rate of one physics step (2 ms) before, and poses come from a
+file of them made earlier, where we settle each when it is asked for.
 """
 
 import copy
@@ -33,12 +36,13 @@ from frasa_rl.config import Assumed, Physics, Task
 from frasa_rl.falls import Release, let_go, standing
 from frasa_rl.readings import Readings, Truth
 from frasa_rl.robot import Floats, Robot
-from frasa_rl.simulation import Simulation, Start
+from frasa_rl.simulation import Simulation, Start, fresh
 from frasa_sysid.calibration import number
 
 VELOCITY_WINDOW_S = 0.030
 TIME_RATIO = (0.98, 1.02)
-SETTLE_S, HEIGHT = 2.0, 0.4
+SETTLE_S, HEIGHT, SITE = 2.0, 0.4, "trunk"
+SQUAT = {"hip_pitch": -1.0, "knee": 2.0, "ankle_pitch": -1.0}  # one offset bends the whole leg of a start near the pose
 EXTRA_STEPS = 1  # an episode ends after its time has passed, not when it is reached
 
 
@@ -102,7 +106,9 @@ class CompatStarts:
     """
 
     def __init__(self, model: mujoco.MjModel, robot: Robot, task: Task, draw: "Draw | None") -> None:
-        self._model, self._robot, self._task, self._draw = model, robot, task, draw
+        self._model, self._task, self._draw = model, task, draw
+        self._robot = replace(robot, held=np.zeros_like(robot.held))  # the arms' roll too while it settles
+        self._held = robot.held
         self._before = copy.copy(model)  # B7: what the next robot settles under
         self._data = mujoco.MjData(model)
 
@@ -112,20 +118,24 @@ class CompatStarts:
 
     def _one(self, rng: Generator) -> Start:
         start = let_go(self._before, self._data, self._robot, self._task, self._release(), {})
-        root = 1 + self._robot.root_qpos + 2
-        start.state[root] += HEIGHT - self._data.qpos[self._robot.root_qpos + 2]
+        site = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, SITE)
+        height = self._data.site_xpos[site, 2] if site >= 0 else self._data.xpos[self._robot.trunk, 2]
+        start.state[1 + self._robot.root_qpos + 2] += HEIGHT - height
         settled = self._settle(start)
         drawn = self._draw(rng) if self._draw is not None else {}
-        after = copy.copy(self._model)  # B6: no forward, no derived constants
-        after.sensor_delay[:] = self._before.sensor_delay
-        self._before = after
-        return replace(settled, model=after, drawn=drawn)
+        self._before = copy.copy(self._model)  # B6: no forward, no derived constants
+        after = copy.copy(self._model)  # the robot's own: nobody writes to it
+        moved = np.zeros(after.nu, dtype=bool)
+        moved[self._robot.actuators] = True
+        return replace(
+            settled, model=after, ages=fresh(after), drawn=drawn, ctrl=np.where(moved, settled.ctrl, self._held)
+        )
 
     def _release(self) -> Release:
         robot, task, half = self._robot, self._task, np.radians(self._task.start_pitch_deg)
         if random.random() < task.near_target_share:  # B8: the process' own generator
-            pose, pitch = standing(task)
-            offsets = [random.uniform(-1.0, 1.0) * task.near_target_spread for _ in pose]
+            (pose, pitch), deeper = standing(task), random.uniform(-1.0, 1.0) * task.near_target_spread
+            offsets = [deeper * SQUAT.get(one.name, 0.0) for one in task.joints]
             return Release(np.clip(pose + offsets, *robot.limits.T), pitch, SETTLE_S)
         joints = np.clip([random.uniform(-pi, pi) for _ in task.joints], *robot.limits.T)
         return Release(joints, random.uniform(-half, half), SETTLE_S)
@@ -135,7 +145,7 @@ class CompatStarts:
         try:
             sim.put(0, start)
             sim.advance(np.repeat(sim.ctrl[:, None], round(SETTLE_S / sim.timestep), axis=1))
-            return replace(start, state=sim.state[0].copy(), sensors=sim.sensors[0].copy())
+            return replace(start, state=sim.state[0].copy(), sensors=sim.sensors[0].copy(), older=sim.older[0].copy())
         finally:
             sim.close()
 

@@ -2,6 +2,7 @@
 
 import io
 import os
+import zipfile
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -15,10 +16,9 @@ from frasa_rl.config import Task
 from frasa_rl.falls import Kind
 from frasa_rl.simulation import FULL, Start, fresh
 from frasa_rl.starts import StartMaker
-from frasa_sysid.calibration import Calibration, plain, sha256_of, write_atomic
+from frasa_sysid.calibration import Calibration, UsageError, plain, sha256_of, write_atomic
 
 VERSION = 1  # of what a pool holds; another one is made anew
-_BLOCK = 64
 
 
 def pool_key(model: mujoco.MjModel, task: Task, calibration: Calibration | None, count: int, seed: int) -> str:
@@ -46,6 +46,10 @@ class Pool:
         seed: of all of them.
         folder: where to keep it; None keeps nothing.
         tell: called with the share done while it is made.
+
+    Raises:
+        UsageError: no start is asked for.
+        ModelError: no release came to rest as asked.
     """
 
     def __init__(
@@ -57,22 +61,25 @@ class Pool:
         folder: Path | None = None,
         tell: Callable[[float], None] = lambda _: None,
     ) -> None:
+        if count < 1:
+            raise UsageError(f"a pool of {count} starts: expected at least 1")
         self._maker, self._seed = maker, seed
         if maker.task.compat:
             draw = Draw(maker.model, maker.robot, maker.task) if maker.randomizer else None
             compat = CompatStarts(maker.model, maker.robot, maker.task, draw)
             self.starts = [compat.make([self._rng(i)])[0] for i in range(count)]
             return
-        path = None
-        if folder is not None:
-            path = folder / f"starts-{pool_key(maker.model, maker.task, calibration, count, seed)}.npz"
-        kept = _load(path) if path is not None and path.is_file() else None
-        if kept is not None and self._fits(kept, count):
+        if folder is None:
+            self.starts = self._make(count, tell)
+            return
+        key = pool_key(maker.original, maker.task, calibration, count, seed)
+        path = folder / f"starts-{key}.npz"
+        kept = _load(path) if path.is_file() else None
+        if kept is not None and self._fits(kept, count, key):
             self.starts = [self._restore(i, kept) for i in range(count)]
             return
         self.starts = self._make(count, tell)
-        if path is not None:
-            write_atomic(path, _packed(self.starts))
+        write_atomic(path, _packed(self.starts, key))
 
     def __len__(self) -> int:
         return len(self.starts)
@@ -81,38 +88,50 @@ class Pool:
         return np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(index,)))
 
     def _make(self, count: int, tell: Callable[[float], None]) -> list[Start]:
-        starts: list[Start] = []
-        kinds: list[Kind] = ["any"]
-        for first in range(0, count, _BLOCK):
-            block = [self._rng(i) for i in range(first, min(first + _BLOCK, count))]
-            starts += self._maker.make(block, kinds * len(block))
-            tell(len(starts) / count)
-        return starts
+        kinds: list[Kind] = ["any"] * count
+        return self._maker.make([self._rng(i) for i in range(count)], kinds, tell)
 
-    def _fits(self, kept: dict[str, np.ndarray], count: int) -> bool:
+    def _fits(self, kept: dict[str, np.ndarray], count: int, key: str) -> bool:
+        """Whether a file holds what its name says: numbers of the right shapes, as they were written."""
         model = self._maker.model
         shapes = {"state": (count, mujoco.mj_stateSize(model, FULL)), "ctrl": (count, model.nu)}
-        shapes["sensors"] = (count, model.nsensordata)
-        return all(name in kept and kept[name].shape == shape for name, shape in shapes.items())
+        shapes["sensors"] = shapes["older"] = (count, model.nsensordata)
+        if set(kept) != {*shapes, "mark"} or any(kept[name].dtype != np.float64 for name in shapes):
+            return False
+        right = all(kept[name].shape == shape for name, shape in shapes.items())
+        return right and str(kept["mark"]) == _mark(kept, key)
 
     def _restore(self, index: int, kept: dict[str, np.ndarray]) -> Start:
         """The robot is drawn again from its seed, where it settled is read."""
         model, drawn = self._maker.draw_robot(self._rng(index))
         ages = fresh(model)
-        return Start(model, kept["state"][index], kept["ctrl"][index], kept["sensors"][index], ages, drawn)
+        state, ctrl, sensors, older = (kept[name][index] for name in _KEPT)
+        return Start(model, state, ctrl, sensors, ages, drawn, older)
 
 
-def _packed(starts: list[Start]) -> bytes:
+_KEPT = ("state", "ctrl", "sensors", "older")
+
+
+def _packed(starts: list[Start], key: str) -> bytes:
     file = io.BytesIO()
-    state, ctrl, sensors = (np.stack([getattr(one, name) for one in starts]) for name in ("state", "ctrl", "sensors"))
-    np.savez(file, state=state, ctrl=ctrl, sensors=sensors)
+    kept = {name: np.stack([getattr(one, name) for one in starts]) for name in _KEPT}
+    state, ctrl, sensors, older = (kept[name] for name in _KEPT)
+    np.savez(file, state=state, ctrl=ctrl, sensors=sensors, older=older, mark=np.array(_mark(kept, key)))
     return file.getvalue()
+
+
+def _mark(kept: dict[str, np.ndarray], key: str) -> str:
+    """Hash of the numbers and of what they were made from."""
+    return sha256_of(b"".join(kept[name].tobytes() for name in _KEPT) + key.encode())
 
 
 def _load(path: Path) -> dict[str, np.ndarray] | None:
     """What a file holds; None when it is damaged."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        file = np.load(path, allow_pickle=False)
+        if not isinstance(file, np.lib.npyio.NpzFile):
+            return None
+        with file:
             return {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, KeyError):
+    except (OSError, ValueError, EOFError, KeyError, NotImplementedError, zipfile.BadZipFile):
         return None

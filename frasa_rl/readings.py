@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from frasa_rl.robot import Floats, Robot, Sensors, pitch_of
-from frasa_rl.simulation import Simulation
+from frasa_rl.simulation import Simulation, young
 
 
 @dataclass(frozen=True)
@@ -64,33 +64,37 @@ def read(robot: Robot, sim: Simulation, now: Truth, ages: Floats) -> Readings:
         now: the truth.
         ages: delay of every sensor [s], shape (count, nsensor).
     """
-    share = np.clip(1.0 - ages / sim.timestep, 0.0, 1.0)  # of the present in a reading younger than a step
-    orientation = _trunk(robot.orientation, sim, 4)
-    turning = _trunk(robot.gyro, sim, 3)
-    pitch = now.pitch if orientation is None else _mix(pitch_of(orientation), now.pitch, share, robot.orientation)
-    rate = now.turning[:, 1] if turning is None else _mix(turning[:, 1], now.turning[:, 1], share, robot.gyro)
+    shares = _shares(ages, sim.timestep)
+    orientation = _trunk(robot.orientation, sim, now.quaternion, shares)
+    turning = _trunk(robot.gyro, sim, now.turning, shares)
     return Readings(
-        positions=_joints(robot.position, sim, now.positions, share),
-        velocities=_joints(robot.velocity, sim, now.velocities, share),
-        pitch=pitch,
-        pitch_rate=rate,
+        positions=_joints(robot.position, sim, now.positions, shares),
+        velocities=_joints(robot.velocity, sim, now.velocities, shares),
+        pitch=pitch_of(orientation),
+        pitch_rate=turning[:, 1].copy(),
     )
 
 
-def _trunk(sensors: Sensors, sim: Simulation, size: int) -> Floats | None:
-    if not sensors:
-        return None
-    start = int(sensors.start[0])
-    return sim.sensors[:, start : start + size]
+def _shares(ages: Floats, timestep: float) -> tuple[Floats, Floats]:
+    """Shares of what is now and of what was two steps ago, between which and a step ago a young reading lies."""
+    steps = ages / timestep
+    return np.clip(1.0 - steps, 0.0, 1.0), np.where(young(ages, timestep), np.clip(steps - 1.0, 0.0, 1.0), 0.0)
 
 
-def _mix(old: Floats, now: Floats, share: Floats, sensors: Sensors) -> Floats:
-    young = share[:, int(sensors.ids[0])]
-    return np.asarray(old + young * (now - old))
-
-
-def _joints(sensors: Sensors, sim: Simulation, now: Floats, share: Floats) -> Floats:
+def _trunk(sensors: Sensors, sim: Simulation, now: Floats, shares: tuple[Floats, Floats]) -> Floats:
+    """A reading of the trunk, interpolated as MuJoCo does: number by number, a quaternion too."""
     if not sensors:
         return now
-    old = sim.sensors[:, sensors.start]
-    return np.asarray(old + share[:, sensors.ids] * (now - old))
+    start = int(sensors.start[0])
+    columns, index = slice(start, start + now.shape[1]), int(sensors.ids[0])
+    near, far = (share[:, index, None] for share in shares)
+    old, older = sim.sensors[:, columns], sim.older[:, columns]
+    return np.asarray(old + near * (now - old) + far * (older - old))
+
+
+def _joints(sensors: Sensors, sim: Simulation, now: Floats, shares: tuple[Floats, Floats]) -> Floats:
+    if not sensors:
+        return now
+    near, far = (share[:, sensors.ids] for share in shares)
+    old, older = sim.sensors[:, sensors.start], sim.older[:, sensors.start]
+    return np.asarray(old + near * (now - old) + far * (older - old))

@@ -5,9 +5,11 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 from mujoco import rollout
 
 from frasa_rl.robot import Floats
+from frasa_sysid.calibration import UsageError
 
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)  # begins with time, qpos, qvel
 
@@ -23,6 +25,7 @@ class Start:
         sensors: `sensordata`, one physics step old as after a step, shape (nsensordata,).
         ages: delay of every sensor [s], shape (nsensor,); the model's own are shorter by a step (see `fresh`).
         drawn: what was randomized, by name.
+        older: `sensordata` of the physics step before; None for a robot that has always been where it is.
     """
 
     model: mujoco.MjModel
@@ -31,18 +34,25 @@ class Start:
     sensors: Floats
     ages: Floats
     drawn: dict[str, float]
+    older: Floats | None = None
 
 
 def fresh(model: mujoco.MjModel) -> Floats:
     """Shorten every sensor's delay by one physics step, in place, and return the delays there were, shape (nsensor,).
 
     A step computes sensors before it moves, so at its end they are one step old. With the delay
-    shorter by that step the reading is exactly as old as the delay says, at no cost; one of less
-    than a step is made up with the present state (`readings`).
+    shorter by that step the reading is exactly as old as the delay says, at no cost. MuJoCo looks up
+    no delay between 0 and a step, so `young` readings are made up from undelayed ones (`readings`).
     """
+    step = model.opt.timestep
     ages: Floats = np.where(model.sensor_history[:, 0] > 0, model.sensor_delay, 0.0)
-    model.sensor_delay[:] = np.where(ages > 0.0, np.maximum(model.sensor_delay - model.opt.timestep, 0.0), 0.0)
+    model.sensor_delay[:] = np.where(young(ages, step), 0.0, ages - step)
     return ages
+
+
+def young(ages: Floats, timestep: float) -> npt.NDArray[np.bool_]:
+    """Which delays [s] are below two physics steps; the sensors of a `fresh` model have none for them."""
+    return np.asarray(ages < 2.0 * timestep * (1.0 - 1e-9))
 
 
 def all_threads() -> int:
@@ -57,6 +67,7 @@ class Simulation:
         models: one for each robot, all of the same sizes.
         state: present full physics states, shape (count, ns).
         sensors: present sensor data, shape (count, nsensordata).
+        older: sensor data of the physics step before, shape (count, nsensordata).
         ctrl: present commands [rad], shape (count, nu).
         path: states after every physics step of the last `advance`, shape (count, steps, ns).
         sensor_path: sensor data of these steps, each taken as its step began, shape (count, steps, nsensordata).
@@ -66,14 +77,20 @@ class Simulation:
         model: what all robots are until they are `put`.
         count: of robots.
         threads: to step them with; None for one a core.
+
+    Raises:
+        UsageError: no robots or no threads.
     """
 
     def __init__(self, model: mujoco.MjModel, count: int, threads: int | None = None) -> None:
+        if count < 1 or (threads is not None and threads < 1):
+            raise UsageError(f"{count} robots on {threads} threads: expected at least 1 of both")
         self.count, self.nq, self.nv = count, int(model.nq), int(model.nv)
         self.timestep = float(model.opt.timestep)
         self.models = [model] * count
         self.state = np.zeros((count, mujoco.mj_stateSize(model, FULL)))
         self.sensors = np.zeros((count, model.nsensordata))
+        self.older = np.zeros_like(self.sensors)
         self.ctrl = np.zeros((count, model.nu))
         self.diverged = np.zeros(count, dtype=bool)
         self.path = np.zeros((count, 0, self.state.shape[1]))
@@ -98,6 +115,7 @@ class Simulation:
         """Make one robot another."""
         self.models[index] = start.model
         self.state[index], self.sensors[index], self.ctrl[index] = start.state, start.sensors, start.ctrl
+        self.older[index] = start.sensors if start.older is None else start.older
         self.diverged[index] = False
 
     def advance(self, commands: Floats) -> None:
@@ -123,6 +141,7 @@ class Simulation:
             chunk_size=self._chunk,
         )
         self.state[:] = self.path[:, -1]
+        self.older[:] = self.sensor_path[:, -2] if steps > 1 else self.sensors
         self.sensors[:] = self.sensor_path[:, -1]
         self.ctrl[:] = commands[:, -1]
         # MuJoCo stops a rollout at its first warning and repeats what it had: the clock tells.

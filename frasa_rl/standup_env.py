@@ -123,7 +123,7 @@ class StandUp(gymnasium.Env[Observation, Action]):
             raise UsageError(f"unknown start '{kind}': expected {', '.join(get_args(Kind))}")
         starts = self._compat.make([self.np_random]) if self._compat else self._maker.make([self.np_random], [kind])
         self._core.begin(0, starts[0])
-        return self._core.batch.observation[0], _info(None)
+        return self._core.batch.observation[0].copy(), _info(None)
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Apply one action for a control period.

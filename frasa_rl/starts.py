@@ -2,7 +2,7 @@
 
 import copy
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -24,6 +24,11 @@ _ATONCE = 64
 class StartMaker:
     """Makes starts of a task.
 
+    Attributes:
+        model: that of the robot drawn last.
+        original: as it was given.
+        robot: where things are in both.
+
     Args:
         model: of the task (`build_model`), nobody else's: it is written to.
         task: how robots are released.
@@ -42,6 +47,7 @@ class StartMaker:
         threads: int | None = None,
     ) -> None:
         self.model, self.task = model, task
+        self.original = copy.copy(model)  # what no draw has written to
         self.robot: Robot = find_robot(model, task)
         self.randomizer = Randomizer(model, self.robot, task, calibration) if randomize else None
         self._threads = threads
@@ -55,11 +61,18 @@ class StartMaker:
         drawn = self.randomizer.draw(rng)
         return copy.copy(self.model), drawn
 
-    def make(self, rngs: Sequence[Generator], kinds: Sequence[Kind]) -> list[Start]:
+    def make(
+        self, rngs: Sequence[Generator], kinds: Sequence[Kind], tell: Callable[[float], None] = lambda _: None
+    ) -> list[Start]:
         """One start from each generator; it does not depend on what the others are.
 
         A draw that diverges, or comes to rest where the episode would already be over or on another side
         than asked, is released anew.
+
+        Args:
+            rngs: of every start.
+            kinds: of every start.
+            tell: called with the share done, whenever it has grown.
 
         Raises:
             ModelError: no release came to rest as asked.
@@ -85,6 +98,7 @@ class StartMaker:
                             sim.put(slot, one.begin())
                             continue
                         done[one.index], slots[slot] = settled, None
+                        tell(len(done) / len(tries))
         finally:
             sim.close()
         return [done[index] for index in range(len(tries))]
@@ -131,4 +145,4 @@ class _Try:
         state = sim.state[slot].copy()
         if sim.diverged[slot] or not as_asked(self._maker.robot, state, self._maker.task, self._kind):
             return None
-        return replace(self._start, state=state, sensors=sim.sensors[slot].copy())
+        return replace(self._start, state=state, sensors=sim.sensors[slot].copy(), older=sim.older[slot].copy())

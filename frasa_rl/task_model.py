@@ -5,10 +5,11 @@ state of 4,400 numbers, and each physics step writes one); no number of the robo
 """
 
 from collections.abc import Callable
-from math import ceil
+from math import ceil, isfinite
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
 from frasa_rl.config import Physics, Task
 from frasa_rl.robot import ADDED_SELF_CONTACT, sensor_names
@@ -22,7 +23,7 @@ _INTEGRATORS = {
 }
 _CONES = {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}
 _CONTACTS = 8  # largest forces that an added self-contact sensor keeps
-_NO_COLLISION_BIT = 1 << 20  # of contype, conaffinity: the floor's own, when only it shall be touched
+_OTHERS_BIT = 1 << 20  # of contype and conaffinity: of all that is not the robot, when it shall not touch itself
 
 
 def build_model(
@@ -41,7 +42,9 @@ def build_model(
     """
     spec = load_spec(path)
     written = float(spec.option.timestep)
-    wanted = task.physics.timestep or written
+    wanted = written if task.physics.timestep is None else task.physics.timestep
+    if not (isfinite(wanted) and wanted > 0.0):
+        raise ModelError(f"a time step of {wanted} s: expected a positive number")
     _prune(spec, set(sensor_names(task)), written / wanted)
     if not textures:
         _drop_textures(spec)
@@ -50,7 +53,7 @@ def build_model(
     if add is not None:
         add(spec)
     model = compile_model(spec, path)
-    _set_physics(model, task.physics, task.names.floor)
+    _set_physics(model, task.physics, task.names.trunk)
     substeps(model, task.control_period_s)  # says early when they do not go together
     return model
 
@@ -101,7 +104,7 @@ def _add_self_contact(spec: mujoco.MjSpec, trunk: str) -> None:
     )
 
 
-def _set_physics(model: mujoco.MjModel, physics: Physics, floor: str) -> None:
+def _set_physics(model: mujoco.MjModel, physics: Physics, trunk: str) -> None:
     integrator = None if physics.integrator is None else int(_INTEGRATORS[physics.integrator])
     stepping.restep(model, physics.timestep, integrator)
     if physics.cone is not None:
@@ -111,14 +114,17 @@ def _set_physics(model: mujoco.MjModel, physics: Physics, floor: str) -> None:
         if value is not None:
             setattr(model.opt, name, value)
     if physics.self_collision is False:
-        _touch_only_the_floor(model, floor)
+        _touch_no_part_of_itself(model, trunk)
 
 
-def _touch_only_the_floor(model: mujoco.MjModel, floor: str) -> None:
-    """Parts of the robot no longer collide with each other: a bit for the floor alone on one side of every pair."""
-    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, floor)
+def _touch_no_part_of_itself(model: mujoco.MjModel, trunk: str) -> None:
+    """Parts of the robot no longer collide with each other; what they collided with beside, they still do."""
+    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, trunk)
     if index < 0:
-        raise ModelError(f"the model lacks geom {floor}")
-    touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    model.geom_contype[touching], model.geom_conaffinity[touching] = 0, _NO_COLLISION_BIT
-    model.geom_contype[index], model.geom_conaffinity[index] = _NO_COLLISION_BIT, 0
+        return  # said with all that is missing by `find_robot`
+    own = model.body_rootid[model.geom_bodyid] == model.body_rootid[index]
+    kind, meets = model.geom_contype, model.geom_conaffinity
+    touched = (kind[own, None] & meets[~own]) | (kind[~own] & meets[own, None])
+    meets[own] = np.where(touched.any(axis=1), _OTHERS_BIT, 0)
+    kind[own] = 0
+    kind[~own] |= np.where((kind[~own] | meets[~own]) != 0, _OTHERS_BIT, 0)

@@ -1,13 +1,17 @@
 """Environments and models that several tests of training share."""
 
+import copy
 import shutil
 from pathlib import Path
 
+import mujoco
+import numpy as np
 import pytest
 import yaml
 
+from frasa_rl.simulation import Start, fresh, state_of
 from frasa_rl.standup_env import StandUp
-from frasa_sysid.calibration import Calibration, Range
+from frasa_sysid.calibration import Calibration, Range, hold_history
 
 MEASURED = Calibration(
     id="c0ffee",
@@ -55,3 +59,20 @@ def env(nominal: Path) -> StandUp:
 def plain_env(nominal: Path) -> StandUp:
     """The robot as it is in its file, episode after episode."""
     return StandUp(nominal, randomize=False)
+
+
+@pytest.fixture
+def start_by_hand():
+    """Makes a start of a state that is set by hand, held since ever."""
+
+    def make(env: StandUp, qpos: object = None, qvel: object = None) -> Start:
+        model = copy.copy(env._maker.original)
+        data = mujoco.MjData(model)
+        data.qpos[:] = env.data.qpos if qpos is None else qpos
+        data.qvel[:] = 0.0 if qvel is None else qvel
+        data.ctrl[:] = env.data.ctrl
+        hold_history(model, data)
+        ages = fresh(model)
+        return Start(model, state_of(model, data), data.ctrl.copy(), np.array(data.sensordata), ages, {})
+
+    return make

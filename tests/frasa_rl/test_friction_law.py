@@ -73,10 +73,10 @@ def test_the_environment_feels_the_law(with_law):
 def test_every_episode_has_its_own_law(with_law):
     """Measured coefficients come from their ranges, the rest stays, and the original can be restored."""
     env, rng = StandUp(with_law), np.random.default_rng(0)
-    seen = []
+    seen, maker = [], env._maker
     for _ in range(30):
-        drawn = env.randomizer.draw(rng)
-        law = servo_law.law(env.model, "mx106")
+        model, drawn = maker.draw_robot(rng)
+        law = servo_law.law(model, "mx106")
         load = drawn["mx106.load_motor"]
         assert law == replace(
             M4,
@@ -86,44 +86,45 @@ def test_every_episode_has_its_own_law(with_law):
             load_external=load,
         )
         # The other class has no measured friction: its Coulomb part takes the assumed ratio.
-        other = servo_law.law(env.model, "mx64")
+        other = servo_law.law(model, "mx64")
         assert other == replace(M4, coulomb=M4.coulomb * drawn["frictionloss"])
-        assert env.model.dof_frictionloss[dofs_of(env.model, actuators_of(env.model, "mx64"))[0]] == other.coulomb
+        assert model.dof_frictionloss[dofs_of(model, actuators_of(model, "mx64"))[0]] == other.coulomb
         seen.append(load)
     assert 0.04 <= min(seen) < 0.05
     assert 0.07 < max(seen) <= 0.08
     env.randomizer.restore()
     fresh = load_model(with_law)
     for name in ("numeric_data", "dof_frictionloss", "actuator_gainprm", "actuator_forcerange"):
-        np.testing.assert_array_equal(getattr(env.model, name), getattr(fresh, name))
+        np.testing.assert_array_equal(getattr(maker.model, name), getattr(fresh, name))
 
 
 def test_a_measured_supply_replaces_the_assumed_one(with_law):
     """Gains and limits of all servos follow the measured supply, once."""
     env, original = StandUp(with_law), load_model(with_law)
     for seed in range(20):
-        drawn = env.randomizer.draw(np.random.default_rng(seed))
+        model, drawn = env._maker.draw_robot(np.random.default_rng(seed))
         assert 14.0 <= drawn["supply_voltage"] <= 15.5
         ratio = drawn["supply_voltage"] / 15.0
-        np.testing.assert_allclose(env.model.actuator_forcerange, ratio * original.actuator_forcerange)
-        gains = env.model.actuator_gainprm[actuators_of(env.model, "mx106"), 0]
+        np.testing.assert_allclose(model.actuator_forcerange, ratio * original.actuator_forcerange)
+        gains = model.actuator_gainprm[actuators_of(model, "mx106"), 0]
         np.testing.assert_allclose(gains, ratio * drawn["mx106.kp"])
 
 
 def test_copies_of_the_model_are_drawn_apart(with_law):
     """A batch of copies, each with a draw of its own, in one rollout as in loops of steps."""
     env = StandUp(with_law)
-    models = [copy.copy(env.model) for _ in range(3)]
+    original = load_model(with_law)
+    models = [copy.copy(original) for _ in range(3)]
     for seed, model in enumerate(models):
         Randomizer(model, env.robot, env.task, RANGES).draw(np.random.default_rng(seed))
     full = mujoco.mjtState.mjSTATE_FULLPHYSICS
-    data = mujoco.MjData(env.model)
-    mujoco.mj_resetDataKeyframe(env.model, data, 0)
-    start = np.empty((3, mujoco.mj_stateSize(env.model, full)))
-    mujoco.mj_getState(env.model, data, start[0], full)
+    data = mujoco.MjData(original)
+    mujoco.mj_resetDataKeyframe(original, data, 0)
+    start = np.empty((3, mujoco.mj_stateSize(original, full)))
+    mujoco.mj_getState(original, data, start[0], full)
     start[:] = start[0]
-    goals = np.tile(env.model.key_ctrl[0], (3, 100, 1))
-    together, _ = rollout.rollout(models, [mujoco.MjData(env.model) for _ in range(2)], start, goals)
+    goals = np.tile(original.key_ctrl[0], (3, 100, 1))
+    together, _ = rollout.rollout(models, [mujoco.MjData(original) for _ in range(2)], start, goals)
     for model, path in zip(models, together, strict=True):
         alone = mujoco.MjData(model)
         mujoco.mj_resetDataKeyframe(model, alone, 0)

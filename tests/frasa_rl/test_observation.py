@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -35,12 +34,13 @@ def test_the_action_just_applied_is_seen(plain_env):
     assert not part(plain_env.reset(seed=1)[0], "previous_action").any()
 
 
-def test_positions_are_the_mean_of_both_sides(plain_env):
+def test_positions_are_the_mean_of_both_sides(plain_env, start_by_hand):
     """A left-right difference does not show: the mean does (upstream discrepancy D1)."""
     plain_env.reset(seed=0)
-    left, right = plain_env.robot.position[3]
-    plain_env.data.sensordata[[left, right]] = (1.0, 2.0)
-    assert part(plain_env._observe(), "position")[3] == pytest.approx(1.5)
+    qpos = plain_env.data.qpos.copy()
+    qpos[plain_env.robot.qpos[3]] = (1.0, 2.0)
+    plain_env.core.begin(0, start_by_hand(plain_env, qpos))
+    assert part(plain_env.core.batch.observation[0], "position")[3] == pytest.approx(1.5)
 
 
 def test_mirrored_joints_are_averaged_with_their_sign(nominal):
@@ -52,11 +52,15 @@ def test_mirrored_joints_are_averaged_with_their_sign(nominal):
     np.testing.assert_allclose(robot.limits, [[-0.523599, 0.610865]])
 
 
-def test_everything_observed_lies_in_the_declared_space(plain_env):
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_everything_observed_lies_in_the_declared_space(plain_env, start_by_hand, sign):
     """Numbers beyond the declared bounds are clipped, so that the space is true."""
     plain_env.reset(seed=0)
-    plain_env.data.sensordata[:] = 1e6
-    assert plain_env.observation_space.contains(plain_env._observe())
+    start = start_by_hand(plain_env)
+    plain_env.core.begin(0, replace(start, sensors=np.full_like(start.sensors, sign * 1e6)))
+    seen = plain_env.core.batch.observation[0]
+    assert plain_env.observation_space.contains(seen)
+    assert (np.abs(part(seen, "velocity")) == 30.0).all()
 
 
 def true_and_seen(env, name):
@@ -66,8 +70,8 @@ def true_and_seen(env, name):
     for action in WAVE:
         observation = env.step(action)[0]
         truth = {
-            "pitch": pitch_of(env.data.sensordata[env.robot.orientation]),
-            "pitch_rate": env.data.sensordata[env.robot.gyro][1],
+            "pitch": pitch_of(env.data.qpos[3:7]),
+            "pitch_rate": env.data.qvel[4],
         }
         true.append(truth[name])
         seen.append(part(observation, name)[0])
@@ -91,19 +95,12 @@ def test_the_delay_is_the_models(model_copy, name):
     np.testing.assert_allclose(seen, true, atol=1e-5)
 
 
-def test_velocities_are_30_ms_old(plain_env, monkeypatch):
+def test_velocities_are_30_ms_old(plain_env):
     """A joint's velocity is seen as it was 30 ms ago, at the instant of the observation, not a substep off."""
-    history = []
-    step = mujoco.mj_step
-
-    def spy(model, data):
-        step(model, data)
-        history.append(data.qvel[model.jnt_dofadr[model.joint("left_knee").id]])
-
     plain_env.reset(seed=4)
-    monkeypatch.setattr(mujoco, "mj_step", spy)
     for action in WAVE[:4]:
-        plain_env.step(action)
-    seen = plain_env.data.sensordata[plain_env.robot.velocity[3, 0]]
-    assert seen == pytest.approx(history[-1 - 15], abs=1e-9)
-    assert abs(history[-1] - seen) > 1e-3
+        seen = part(plain_env.step(action)[0], "velocity")
+    robot, sim = plain_env.robot, plain_env.core.batch.sim
+    history = sim.path[0][:, 1 + sim.nq + robot.dofs].mean(axis=2)  # after each of the last 25 substeps
+    np.testing.assert_allclose(seen, history[-1 - 15], atol=1e-6)
+    assert np.abs(history[-15] - seen).max() > 1e-3

@@ -1,5 +1,7 @@
 """Each term of the reward equals what a person computes with the published formula."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -34,22 +36,25 @@ def test_self_contact():
     assert reward.self_contact(WEIGHTS, 2.0) == pytest.approx(0.1 * np.exp(-2.0))
 
 
-def test_forces_are_summed_over_contacts(plain_env):
+def test_forces_are_summed_over_contacts(plain_env, start_by_hand):
     """The self-contact force is the sum of the norms of all its slots."""
     plain_env.reset(seed=0)
-    slots = np.zeros((8, 3))
+    start, slots = start_by_hand(plain_env), np.zeros((8, 3))
     slots[0], slots[3] = (3.0, 0.0, 4.0), (0.0, 2.0, 0.0)
-    plain_env.data.sensordata[plain_env.robot.self_contact] = slots.ravel()
-    assert reward.self_contact_force(plain_env.robot, plain_env.data) == pytest.approx(7.0)
+    sensors = start.sensors.copy()
+    sensors[plain_env.robot.self_contact] = slots.ravel()
+    plain_env.core.begin(0, replace(start, sensors=sensors))
+    assert plain_env.core.batch.now.contact[0] == pytest.approx(7.0)
 
 
-def test_errors_use_both_sides_and_forward_pitch(plain_env):
+def test_errors_use_both_sides_and_forward_pitch(plain_env, start_by_hand):
     """The errors are mean joint angles minus the pose, then the pitch minus +8.5 deg, leaning forward positive."""
     env = plain_env
     env.reset(seed=0)
-    env.data.qpos[env.robot.qpos] = np.radians([[one.target_deg - 1, one.target_deg + 3] for one in Task().joints])
-    half = np.radians(10.5) / 2
-    env.data.sensordata[env.robot.orientation] = (np.cos(half), 0.0, np.sin(half), 0.0)
+    qpos, half = env.data.qpos.copy(), np.radians(10.5) / 2
+    qpos[env.robot.qpos] = np.radians([[one.target_deg - 1, one.target_deg + 3] for one in Task().joints])
+    qpos[3:7] = (np.cos(half), 0.0, np.sin(half), 0.0)
+    env.core.begin(0, start_by_hand(env, qpos))
     np.testing.assert_allclose(np.degrees(env.errors()), [1, 1, 1, 1, 1, 2], atol=1e-9)
 
 

@@ -5,7 +5,6 @@ import sys
 from dataclasses import replace
 
 import gymnasium
-import mujoco
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
@@ -84,9 +83,11 @@ def test_an_episode_lasts_five_seconds(plain_env):
 def test_an_action_is_a_rate_for_one_control_period(plain_env):
     """Action 1 moves a command by 2 pi rad/s times 50 ms, on both sides, and takes 50 ms of simulation."""
     plain_env.reset(seed=0, options={"start": "target"})
-    before, time = plain_env.data.ctrl[plain_env.robot.actuators].copy(), plain_env.data.time
+    servos, before, time = plain_env.robot.actuators, plain_env.data.ctrl.copy(), plain_env.data.time
     plain_env.step(np.array([0.5, 0.0, 0.0, 0.0, -1.0]))
-    moved = plain_env.data.ctrl[plain_env.robot.actuators] - before
+    moved = (plain_env.data.ctrl - before)[servos]
+    others = np.setdiff1d(np.arange(plain_env.model.nu), servos)
+    assert not (plain_env.data.ctrl - before)[others].any()
     expected = np.array([0.5, 0.0, 0.0, 0.0, -1.0]) * 2 * np.pi * 0.05
     np.testing.assert_allclose(moved, np.stack([expected, expected], axis=1), atol=1e-12)
     assert plain_env.data.time - time == pytest.approx(0.05)
@@ -95,23 +96,21 @@ def test_an_action_is_a_rate_for_one_control_period(plain_env):
 def test_commands_ramp_and_stay_inside_their_limits(plain_env, monkeypatch):
     """Commands rise linearly over the 25 substeps and never leave the control range."""
     plain_env.reset(seed=0, options={"start": "target"})
-    commands = []
-    step = mujoco.mj_step
-
-    def spy(model, data):
-        commands.append(data.ctrl[plain_env.robot.actuators[0, 0]])
-        step(model, data)
-
-    monkeypatch.setattr(mujoco, "mj_step", spy)
+    told, sim = [], plain_env.core.batch.sim
+    advance = sim.advance
+    monkeypatch.setattr(sim, "advance", lambda commands: (told.append(commands.copy()), advance(commands)))
+    first = plain_env.data.ctrl.copy()
     plain_env.step(np.array([0.2, 0, 0, 0, 0]))
-    assert len(commands) == 25
-    np.testing.assert_allclose(np.diff(commands), 0.2 * 2 * np.pi * 0.05 / 25)
+    commands = np.vstack([first, told[0][0]])[:, plain_env.robot.actuators[0]]
+    assert commands.shape == (26, 2)  # what it was, and 25 substeps
+    np.testing.assert_allclose(np.diff(commands, axis=0), 0.2 * 2 * np.pi * 0.05 / 25)
     for _ in range(20):
         plain_env.step(np.ones(5))
     low, high = plain_env.model.actuator_ctrlrange.T
-    assert (plain_env.data.ctrl >= low).all()
-    assert (plain_env.data.ctrl <= high).all()
-    np.testing.assert_allclose(commands[-1], plain_env.robot.limits[0, 1])
+    for commands in told:
+        assert (commands >= low).all()
+        assert (commands <= high).all()
+    np.testing.assert_allclose(told[-1][0, -1, plain_env.robot.actuators[0]], plain_env.robot.limits[0, 1])
 
 
 def test_actions_beyond_one_are_clipped(nominal):
@@ -126,31 +125,47 @@ def test_actions_beyond_one_are_clipped(nominal):
     ("limits", "ends"),
     [({"end_pitch_deg": 20.0}, True), ({"end_gyro": 0.0}, True), ({}, False)],
 )
-def test_an_episode_ends_beyond_pitch_or_rate(nominal, limits, ends):
+def test_an_episode_ends_beyond_pitch_or_rate(nominal, limits, ends, start_by_hand):
     """An episode ends beyond the pitch limit or the rate limit, and not otherwise."""
-    env = StandUp(nominal, randomize=False)
-    env.reset(seed=0, options={"start": "prone"})
-    env.task = replace(Task(), **limits)
+    env = StandUp(nominal, replace(Task(), **limits), randomize=False)
+    lying = StandUp(nominal, randomize=False)
+    lying.reset(seed=0, options={"start": "prone"})  # one that ends at 20 deg never starts prone
+    env.core.begin(0, start_by_hand(lying))
     assert env.step(STILL)[2] is ends
 
 
-def test_ends_are_tested_on_the_true_state_both_ways(plain_env):
-    """Tilt beyond 135 deg and rate beyond 5 rad/s end an episode in either direction."""
-    env = plain_env
+@pytest.mark.parametrize(
+    ("pitch", "rate", "over"),
+    [
+        (132.0, 0.0, False),
+        (138.0, 0.0, True),
+        (-138.0, 0.0, True),
+        (0.0, -5.5, True),
+        (0.0, 5.5, True),
+        (0, 4.5, False),
+    ],
+)
+def test_ends_are_tested_on_the_true_state_both_ways(nominal, start_by_hand, pitch, rate, over):
+    """Tilt beyond 135 deg and rate beyond 5 rad/s end an episode in either direction, though not yet measured."""
+    env = StandUp(nominal, replace(Task(), control_period_s=0.004), randomize=False)
     env.reset(seed=0)
-    for pitch, rate, over in [(134.0, 0.0, False), (136.0, 0.0, True), (-136.0, 0.0, True), (0.0, -5.1, True)]:
-        half = np.radians(pitch) / 2
-        env.data.sensordata[env.robot.orientation] = (np.cos(half), 0.0, np.sin(half), 0.0)
-        env.data.sensordata[env.robot.gyro] = (0.0, rate, 0.0)
-        assert env._over() is over
+    qpos, half = env.data.qpos.copy(), np.radians(pitch) / 2
+    qpos[2:7] = (2.0, np.cos(half), 0.0, np.sin(half), 0.0)  # in the air, where nothing stops it
+    qvel = np.zeros(env.model.nv)
+    qvel[4] = rate
+    env.core.begin(0, start_by_hand(env, qpos, qvel))
+    assert env.step(STILL)[2] is over
 
 
 @pytest.mark.parametrize("poison", [1e12, np.nan])
-def test_a_diverged_simulation_ends_the_episode(plain_env, poison, monkeypatch, tmp_path):
+def test_a_diverged_simulation_ends_the_episode(plain_env, start_by_hand, poison, monkeypatch, tmp_path):
     """A simulation that blows up ends its episode, is counted, and the next episode is sound."""
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its log where it runs
     plain_env.reset(seed=0)
-    plain_env.data.qvel[:] = poison
+    before = start_by_hand(plain_env)
+    state = before.state.copy()
+    state[1 + plain_env.model.nq :][: plain_env.model.nv] = poison
+    plain_env.core.begin(0, replace(before, state=state), look=False)  # what it saw last was sound
     observation, reward, terminated, truncated, info = plain_env.step(STILL)
     assert terminated
     assert not truncated
@@ -203,9 +218,9 @@ def test_unknown_options_are_refused(nominal, plain_env):
 def test_success_needs_half_a_second(plain_env, monkeypatch):
     """Standing counts only after all six errors were below 5 deg for 0.5 s without a gap."""
     plain_env.reset(seed=0)
-    error = np.zeros(6)
-    monkeypatch.setattr(plain_env, "errors", lambda: error)
+    error = np.zeros((1, 6))
+    monkeypatch.setattr(plain_env.core.batch, "errors", lambda: error)
     seen = [plain_env.step(STILL)[4]["is_success"] for _ in range(11)]
     assert seen == [False] * 10 + [True]
-    error[3] = np.radians(5.1)
+    error[0, 3] = np.radians(5.1)
     assert not plain_env.step(STILL)[4]["is_success"]
