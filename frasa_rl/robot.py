@@ -133,7 +133,8 @@ def sensor_names(task: Task) -> list[str]:
 def pitch_of(quaternion: Floats) -> Floats:
     """Trunk pitch [rad], forward positive, of quaternions w x y z (..., 4): atan2(-R[2, 0], R[2, 2]), shape (...,)."""
     w, x, y, z = np.moveaxis(quaternion, -1, 0)
-    return np.asarray(np.arctan2(2.0 * (w * y - x * z), 1.0 - 2.0 * (x * x + y * y)))
+    # Free of the quaternion's norm: an interpolated one is not quite 1.
+    return np.asarray(np.arctan2(2.0 * (w * y - x * z), w * w - x * x - y * y + z * z))
 
 
 def _require(model: mujoco.MjModel, kind: str, names: Iterable[str]) -> None:
