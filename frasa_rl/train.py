@@ -10,7 +10,7 @@ import platform
 import signal
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -35,6 +35,8 @@ from frasa_rl.policy import FOLDER, RUN_FILE, read_run
 from frasa_rl.progress import Progress, stop_on_signals
 from frasa_rl.settings import Settings
 from frasa_rl.standup_env import StandUp
+from frasa_rl.task_file import task_from
+from frasa_rl.task_text import task_data
 from frasa_sysid.calibration import (
     CalibrationError,
     InputError,
@@ -62,6 +64,7 @@ class Plan:
         steps, minutes: the run ends at whichever comes first; None for no limit.
         device: `auto`, `cpu` or `cuda`.
         parallel: a process for every environment, instead of all in this one.
+        task: what is trained, but for the shares of starts, which the settings say.
     """
 
     model: Path
@@ -71,6 +74,7 @@ class Plan:
     minutes: float | None = None
     device: str = "auto"
     parallel: bool = False
+    task: Task = field(default_factory=Task)
 
 
 def train(plan: Plan, *, resume: bool = False) -> dict[str, Any]:
@@ -103,7 +107,7 @@ def train(plan: Plan, *, resume: bool = False) -> dict[str, Any]:
 
 def describe(plan: Plan) -> dict[str, Any]:
     """What run.yaml says: all that determines the run, in plain data."""
-    model, task = load_model(plan.model), task_of(plan.settings)
+    model, task = load_model(plan.model), task_of(plan.settings, plan.task)
     versions = {
         "frasa": __version__,
         "python": platform.python_version(),
@@ -125,16 +129,16 @@ def describe(plan: Plan) -> dict[str, Any]:
             "parallel": plan.parallel,
             "settings": asdict(plan.settings),
             "observation": [{"name": one.name, "size": one.size, "unit": one.unit} for one in layout(task)],
-            "task": asdict(task),
+            "task": task_data(task),
             "versions": versions,
         }
     )
     return said
 
 
-def task_of(settings: Settings) -> Task:
+def task_of(settings: Settings, task: Task) -> Task:
     """The task as a run trains it."""
-    return replace(Task(), near_target_share=settings.near_target_share, falling_share=settings.falling_share)
+    return replace(task, near_target_share=settings.near_target_share, falling_share=settings.falling_share)
 
 
 def plan_of(run: Path) -> Plan:
@@ -159,6 +163,7 @@ def plan_of(run: Path) -> Plan:
             minutes=said["minutes"],
             device=said["device"],
             parallel=said["parallel"],
+            task=task_from(said["task"], str(run / RUN_FILE)),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{run / RUN_FILE}: missing or wrong field: {error!r}") from error
@@ -174,7 +179,8 @@ def model_hash(model: mujoco.MjModel) -> str:
 def make_envs(plan: Plan) -> VecEnv:
     """The environments of a run, each with its own model."""
     makers: list[Callable[[], gymnasium.Env[Any, Any]]] = [
-        partial(_make_env, plan.model, task_of(plan.settings), plan.parallel) for _ in range(plan.settings.envs)
+        partial(_make_env, plan.model, task_of(plan.settings, plan.task), plan.parallel)
+        for _ in range(plan.settings.envs)
     ]
     return VecMonitor(SubprocVecEnv(makers) if plan.parallel else DummyVecEnv(makers))
 
