@@ -65,8 +65,8 @@ class Progress(BaseCallback):
 
     def _on_step(self) -> bool:
         for info in self.locals["infos"]:
-            self._posture.append(info["terms"].get("posture", 0.0))
-            self._diverged += info["diverged"]
+            self._posture.append(info["posture"])
+            self._diverged += info.get("diverged", False)
         if self.num_timesteps - self._row_at >= _ROW_STEPS:
             self.add_row()
         if self.num_timesteps - self._saved_at >= self._checkpoint_steps:

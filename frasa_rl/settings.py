@@ -24,6 +24,7 @@ class Settings:
         smooth: explore with noise that depends on the state (gSDE) instead of a new draw every step.
         smooth_log_std, smooth_steps: its first standard deviation, and the steps between two draws of it.
         renorm_warmup: batches after which batch renormalisation uses running statistics.
+        pool: settled starts to choose from, each with a robot of its own.
         threads: of torch on a processor; more than one stalls where cores are shared.
         near_target_share: share of the starts near the standing pose, in place of the task's.
         falling_share: share of the starts between that pose and a random one, still falling.
@@ -48,6 +49,7 @@ class Settings:
     smooth: bool = True
     smooth_log_std: float = -3.0
     smooth_steps: int = 4
+    pool: int = 512
     threads: int = 1
     near_target_share: float = 0.25
     falling_share: float = 0.25
@@ -55,7 +57,7 @@ class Settings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("envs", "batch", "buffer", "n_step", "policy_delay", "threads", "checkpoint_steps"):
+        for name in ("envs", "batch", "buffer", "n_step", "policy_delay", "threads", "pool", "checkpoint_steps"):
             if getattr(self, name) < 1:
                 raise UsageError(f"{name} is {getattr(self, name)}: expected at least 1")
         if self.seed < 0:

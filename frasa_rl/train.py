@@ -7,11 +7,8 @@ runs/NAME/checkpoints/        the newest checkpoint;  tensorboard/  the learner'
 """
 
 import platform
-import signal
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +21,10 @@ import torch
 import yaml
 from sb3_contrib import CrossQ
 from stable_baselines3.common.logger import configure
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecMonitor
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
 from frasa_rl import __version__
+from frasa_rl.bars import shown_share
 from frasa_rl.checkpoint import load_checkpoint, save_checkpoint
 from frasa_rl.config import Task
 from frasa_rl.learner import build, plain_policy
@@ -34,9 +32,9 @@ from frasa_rl.observation import layout
 from frasa_rl.policy import FOLDER, RUN_FILE, read_run
 from frasa_rl.progress import Progress, stop_on_signals
 from frasa_rl.settings import Settings
-from frasa_rl.standup_env import StandUp
 from frasa_rl.task_file import task_from
 from frasa_rl.task_text import task_data
+from frasa_rl.vec_env import StandUpVecEnv
 from frasa_sysid.calibration import (
     CalibrationError,
     InputError,
@@ -63,7 +61,6 @@ class Plan:
         settings: of the learner.
         steps, minutes: the run ends at whichever comes first; None for no limit.
         device: `auto`, `cpu` or `cuda`.
-        parallel: a process for every environment, instead of all in this one.
         task: what is trained, but for the shares of starts, which the settings say.
     """
 
@@ -73,7 +70,6 @@ class Plan:
     steps: int | None = None
     minutes: float | None = None
     device: str = "auto"
-    parallel: bool = False
     task: Task = field(default_factory=Task)
 
 
@@ -126,7 +122,6 @@ def describe(plan: Plan) -> dict[str, Any]:
             "steps": plan.steps,
             "minutes": plan.minutes,
             "device": plan.device,
-            "parallel": plan.parallel,
             "settings": asdict(plan.settings),
             "observation": [{"name": one.name, "size": one.size, "unit": one.unit} for one in layout(task)],
             "task": task_data(task),
@@ -162,7 +157,6 @@ def plan_of(run: Path) -> Plan:
             steps=said["steps"],
             minutes=said["minutes"],
             device=said["device"],
-            parallel=said["parallel"],
             task=task_from(said["task"], str(run / RUN_FILE)),
         )
     except (KeyError, TypeError, ValueError) as error:
@@ -178,17 +172,17 @@ def model_hash(model: mujoco.MjModel) -> str:
 
 def make_envs(plan: Plan) -> VecEnv:
     """The environments of a run, each with its own model."""
-    makers: list[Callable[[], gymnasium.Env[Any, Any]]] = [
-        partial(_make_env, plan.model, task_of(plan.settings, plan.task), plan.parallel)
-        for _ in range(plan.settings.envs)
-    ]
-    return VecMonitor(SubprocVecEnv(makers) if plan.parallel else DummyVecEnv(makers))
-
-
-def _make_env(model: Path, task: Task, alone: bool) -> StandUp:
-    if alone:  # a process of its own: Ctrl-C is for the learner, which closes the environments when it is done
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return StandUp(model, task)
+    settings = plan.settings
+    with shown_share(f"settling {settings.pool} starts") as tell:
+        envs = StandUpVecEnv(
+            plan.model,
+            task_of(settings, plan.task),
+            settings.envs,
+            pool=settings.pool,
+            seed=settings.seed,
+            tell=tell,
+        )
+    return VecMonitor(envs)
 
 
 def _learn(model: CrossQ, plan: Plan, description: dict[str, Any], elapsed_s: float) -> dict[str, Any]:

@@ -105,9 +105,9 @@ class StandUpVecEnv(VecEnv):
         """Simulate a control period of all robots."""
         out = self.core.step(self._actions)
         over = out.terminated | out.truncated
-        infos: list[dict[str, Any]] = [{} for _ in range(self.count)]
+        infos: list[dict[str, Any]] = [{"posture": one} for one in out.terms[0].tolist()]
         for place in np.flatnonzero(over):
-            infos[place] = {
+            infos[place] |= {
                 "terminal_observation": out.observation[place],
                 "TimeLimit.truncated": bool(out.truncated[place]),
                 "is_success": bool(out.success[place]),

@@ -1,5 +1,6 @@
 """Paths, and a hand-made fit of a whole robot, that several test folders need."""
 
+import os
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -17,6 +18,12 @@ from frasa_sysid.robot_fit_record import RobotEstimate, RobotFitRecord, base_num
 from frasa_sysid.stored_fit import StoredFit
 
 REPO_ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Pools of starts are kept where no other run of the tests sees them."""
+    os.environ["FRASA_CACHE"] = str(tmp_path_factory.mktemp("cache"))
 
 
 @pytest.fixture(scope="session")

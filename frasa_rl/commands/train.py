@@ -29,7 +29,6 @@ def add_command(commands: Subparsers) -> None:
     parser.add_argument("--steps", type=int, help="end after this many transitions")
     parser.add_argument("--seed", type=int, help="seed of everything (default 0)")
     parser.add_argument("--envs", type=int, help="environments stepped together")
-    parser.add_argument("--parallel", action="store_true", default=None, help="a process for every environment")
     parser.add_argument("--threads", type=int, help="threads of torch (default 1: more stall on shared cores)")
     parser.add_argument("--out", type=Path, help="run folder (default runs/standup-<date>-<time>)")
     parser.add_argument("--device", choices=("auto", "cpu", "cuda"), help="default auto: a GPU where there is one")
@@ -50,7 +49,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     if args.resume:
         given = [
             name
-            for name in ("model", "task", "compat", "seed", "envs", "parallel", "threads", "preset", "out")
+            for name in ("model", "task", "compat", "seed", "envs", "threads", "preset", "out")
             if getattr(args, name) is not None
         ]
         if given:
@@ -66,7 +65,6 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
             steps=args.steps,
             minutes=args.minutes,
             device=args.device or "auto",
-            parallel=bool(args.parallel),
             task=task,
         )
     result = train(plan, resume=bool(args.resume))

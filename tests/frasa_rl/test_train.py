@@ -30,6 +30,7 @@ TINY = Settings(
     critic=(16, 16),
     renorm_warmup=20,
     checkpoint_steps=100,
+    pool=8,
 )
 
 
@@ -180,11 +181,6 @@ def test_ctrl_c_saves_and_says_so(plan):
     assert stopped.value.exit_code == 130
     steps = Policy.load(plan.out).run["trained"]["steps"]
     assert train(replace(plan, steps=steps + 40), resume=True)["steps"] >= steps + 40
-
-
-def test_environments_may_have_their_own_processes(plan):
-    """A run with a process for every environment ends like any other."""
-    assert train(replace(plan, parallel=True, steps=60))["steps"] == 60
 
 
 def test_the_paper_preset_is_the_published_recipe():
