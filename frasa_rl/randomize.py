@@ -91,6 +91,7 @@ class Randomizer:
         for one in spreads.values():
             drawn |= one.told
             values |= one.values
+        drawn |= values
         assign(model, {**values, **measured})
         for field, one in spreads.items():
             self._ratios.multiply(model, field, one.ratios)
