@@ -175,9 +175,9 @@ def _check_targets(task: Task, limits: Floats) -> None:
     """The standing pose must be one that can be commanded, on both sides."""
     for one, (low, high) in zip(task.joints, np.degrees(limits), strict=True):
         left, right = task.names.pair(one)
-        if low > high:
+        if low > high - 1e-6:
             raise ModelError(
-                f"{left} and {right} have no angle in common with mirror {one.mirror}: is the mirror right, and are "
+                f"{left} and {right} have no range in common with mirror {one.mirror}: is the mirror right, and are "
                 "their ctrlranges?"
             )
         if not low - 1e-6 <= one.target_deg <= high + 1e-6:

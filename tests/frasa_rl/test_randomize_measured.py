@@ -13,7 +13,7 @@ from frasa_rl.task_model import build_model
 from frasa_sysid.calibration import load_calibration, read, servo_law
 from frasa_sysid.calibration.friction import Friction
 
-COUNT = 1500
+COUNT = 1200
 M1 = replace(Task(), physics=Physics(friction_law="coulomb_viscous"))
 
 
@@ -37,13 +37,14 @@ def robots(robot_model_dir):
     path = robot_model_dir / "calibrated.xml"
     model, randomizer = made(path, Task())
     rng = np.random.default_rng(0)
-    seen = {name: np.zeros(COUNT) for name in load_calibration(path).ranges}
+    names = list(load_calibration(path).ranges)
+    told, held = np.zeros((COUNT, len(names))), np.zeros((COUNT, len(names)))
     for index in range(COUNT):
         drawn = randomizer.draw(rng)
-        for name, values in seen.items():
-            values[index] = read(model, name)
-            assert values[index] == pytest.approx(drawn[name], rel=1e-12)
-    return seen
+        told[index] = [drawn[name] for name in names]
+        held[index] = [read(model, name) for name in names]
+    np.testing.assert_allclose(held, told, rtol=1e-12)
+    return dict(zip(names, held.T, strict=True))
 
 
 def test_every_measured_range_is_reached(robots, robot_model_dir):
