@@ -14,6 +14,7 @@ from frasa_rl import supply
 from frasa_rl.config import Assumed, Task
 from frasa_rl.randomize import Randomizer
 from frasa_rl.robot import find_robot
+from frasa_rl.settings import PRESETS
 from frasa_rl.standup_env import StandUp
 from frasa_rl.task_file import load_task
 from frasa_rl.task_model import build_model
@@ -55,7 +56,13 @@ def test_no_code_names_it(model_path):
         (model.actuator, model.nu),
         (model.sensor, model.nsensor),
     )
-    names = {kind(i).name for kind, count in kinds for i in range(count)} - {"world", "floating", "Chest", "rate", "attitude"}
+    names = {kind(i).name for kind, count in kinds for i in range(count)} - {
+        "world",
+        "floating",
+        "Chest",
+        "rate",
+        "attitude",
+    }
     root = model_path.parent.parent.parent
     code = "\n".join(path.read_text() for name in ("frasa_rl", "frasa_sysid") for path in (root / name).rglob("*.py"))
     assert [name for name in names if name and name in code] == []
@@ -176,13 +183,39 @@ def test_volts_need_to_know_of_which(model_path, task, capsys):
     assert capsys.readouterr().err.count("nominal_voltage") == 1
 
 
-def test_every_command_takes_it(model_path, folder, tmp_path, capsys, monkeypatch):
-    """What the README says: train, resume, evaluate and play, the task given once."""
+@pytest.fixture
+def few_starts(monkeypatch, tmp_path):
+    """A small pool: 512 settled starts take longer than all the rest."""
+    monkeypatch.setenv("FRASA_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["quick"], pool=16))
+
+
+def test_the_readmes_commands_run(robot_model_dir, tmp_path, monkeypatch, capsys, few_starts):
+    """Those of its section on other robots, with less time and fewer trials."""
+    pytest.importorskip("sb3_contrib")
+    from frasa_rl.cli import main
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "robot_model").symlink_to(robot_model_dir)
+    section = (
+        (robot_model_dir.parent / "README.md").read_text().partition("## Your own robot\n")[2].partition("\n## ")[0]
+    )
+    commands = [line.strip() for line in section.splitlines() if line.startswith("    frasa-rl ")]
+    assert len(commands) == 3
+    for command in commands:
+        words = command.partition("#")[0].replace("--minutes 30", "--steps 600").replace("--trials 20", "--trials 1")
+        code = main(words.split()[1:])
+        if code == 1 and "cannot draw without a window" in capsys.readouterr().err:
+            pytest.skip("this machine cannot draw")
+        assert code == 0, command
+
+
+def test_the_task_is_given_once(model_path, folder, tmp_path, capsys, few_starts):
+    """To train: resuming and evaluating have it from the run; held commands need it."""
     pytest.importorskip("sb3_contrib")
     from frasa_rl.cli import main
     from frasa_rl.policy import Policy
 
-    monkeypatch.setenv("FRASA_CACHE", str(tmp_path / "cache"))
     words = ["--model", str(model_path), "--task", str(folder / "standup.yaml")]
     run = str(tmp_path / "run")
     assert main(["train", *words, "--steps", "600", "--out", run, "--json"]) == 0

@@ -1,5 +1,6 @@
 """A task as a file: every field can be set, nothing is executed, and every mistake is one clear line."""
 
+import argparse
 from dataclasses import fields, replace
 
 import pytest
@@ -8,6 +9,7 @@ import yaml
 from frasa_rl.cli import main
 from frasa_rl.compat2024 import compat_task
 from frasa_rl.config import Assumed, Joint, ServoSpread, Task, TaskError
+from frasa_rl.settings import PRESETS
 from frasa_rl.task_file import load_task, task_from
 from frasa_rl.task_text import documented_default, dump_task, task_data
 
@@ -171,3 +173,32 @@ def test_a_missing_file_says_where_to_look(tmp_path):
         load_task(tmp_path / "none.yaml")
     with pytest.raises(TaskError, match="cannot be read"):
         load_task(tmp_path)
+
+
+def test_shares_of_starts_are_the_presets_unless_the_file_says_so(write):
+    """And frasa2024 has none that fall; the settings that a run keeps say the same as its task."""
+    from frasa_rl.commands.train import _task_and_settings
+
+    def chosen(text, compat=None):
+        args = argparse.Namespace(task=write(text) if text else None, compat=compat, preset="quick")
+        task, settings = _task_and_settings(argparse.Namespace(**vars(args), seed=1, envs=None, threads=None))
+        assert (task.near_target_share, task.falling_share) == (settings.near_target_share, settings.falling_share)
+        return task
+
+    quick = PRESETS["quick"]
+    assert chosen("").falling_share == quick.falling_share
+    assert chosen("episode_s: 4").near_target_share == quick.near_target_share
+    assert chosen("near_target_share: 0.05").near_target_share == 0.05
+    assert chosen("", "frasa2024").falling_share == 0.0
+
+
+def test_training_as_the_published_environment_does(nominal, tmp_path, monkeypatch):
+    """--compat frasa2024 runs, and run.yaml says what it is."""
+    pytest.importorskip("sb3_contrib")
+    from frasa_rl.train import plan_of
+
+    monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["quick"], pool=2, envs=2))
+    words = ["train", "--model", str(nominal), "--steps", "16", "--out", str(tmp_path / "run")]
+    assert main([*words, "--compat", "frasa2024"]) == 0
+    task = plan_of(tmp_path / "run").task
+    assert task == replace(compat_task(Task()), near_target_share=PRESETS["quick"].near_target_share)
