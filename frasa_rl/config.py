@@ -105,7 +105,7 @@ class Physics:
     friction_law: Literal["model", "coulomb_viscous"] = "model"
 
     def __post_init__(self) -> None:
-        within("timestep", self.timestep, 1e-5, 0.05, "s")
+        within("timestep", self.timestep, 1e-5, 1.0, "s")
         one_of("integrator", self.integrator, (None, "euler", "implicit", "implicitfast", "rk4"))
         one_of("cone", self.cone, (None, "pyramidal", "elliptic"))
         within("iterations", self.iterations, 1, 10_000)
@@ -279,5 +279,4 @@ _ABOVE = {
 _ORDER = (
     ("control_period_s", "episode_s"),
     ("still_s", "settle_max_s"),
-    ("success_hold_s", "episode_s"),
 )

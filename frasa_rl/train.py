@@ -61,7 +61,7 @@ class Plan:
         settings: of the learner.
         steps, minutes: the run ends at whichever comes first; None for no limit.
         device: `auto`, `cpu` or `cuda`.
-        task: what is trained, but for the shares of starts, which the settings say.
+        task: what is trained; its shares of starts are those of the settings.
     """
 
     model: Path
@@ -71,6 +71,10 @@ class Plan:
     minutes: float | None = None
     device: str = "auto"
     task: Task = field(default_factory=Task)
+
+    def __post_init__(self) -> None:
+        shares = {name: getattr(self.settings, name) for name in ("near_target_share", "falling_share")}
+        object.__setattr__(self, "task", replace(self.task, **shares))
 
 
 def train(plan: Plan, *, resume: bool = False) -> dict[str, Any]:
@@ -103,7 +107,7 @@ def train(plan: Plan, *, resume: bool = False) -> dict[str, Any]:
 
 def describe(plan: Plan) -> dict[str, Any]:
     """What run.yaml says: all that determines the run, in plain data."""
-    model, task = load_model(plan.model), task_of(plan.settings, plan.task)
+    model, task = load_model(plan.model), plan.task
     versions = {
         "frasa": __version__,
         "python": platform.python_version(),
@@ -129,11 +133,6 @@ def describe(plan: Plan) -> dict[str, Any]:
         }
     )
     return said
-
-
-def task_of(settings: Settings, task: Task) -> Task:
-    """The task as a run trains it."""
-    return replace(task, near_target_share=settings.near_target_share, falling_share=settings.falling_share)
 
 
 def plan_of(run: Path) -> Plan:
@@ -176,7 +175,7 @@ def make_envs(plan: Plan) -> VecEnv:
     with shown_share(f"settling {settings.pool} starts") as tell:
         envs = StandUpVecEnv(
             plan.model,
-            task_of(settings, plan.task),
+            plan.task,
             settings.envs,
             pool=settings.pool,
             seed=settings.seed,

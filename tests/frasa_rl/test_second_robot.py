@@ -234,11 +234,13 @@ def test_a_run_keeps_its_task(model_path, task, tmp_path):
     """run.yaml brings the task back, and training with it learns: updates are made."""
     pytest.importorskip("sb3_contrib")
     from frasa_rl.settings import Settings
-    from frasa_rl.train import Plan, plan_of, task_of, train
+    from frasa_rl.train import Plan, plan_of, train
 
     settings = Settings(envs=4, pool=8, learning_starts=100, threads=1)
     plan = Plan(model_path, tmp_path / "run", settings, steps=160, device="cpu", task=task)
     assert train(plan)["updates"] > 0
     again = plan_of(tmp_path / "run")
-    assert task_of(again.settings, again.task) == task_of(settings, task)
-    assert again.task.joints == task.joints
+    assert again == plan
+    assert again.task == replace(
+        task, near_target_share=settings.near_target_share, falling_share=settings.falling_share
+    )
