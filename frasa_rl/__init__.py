@@ -18,11 +18,18 @@ if TYPE_CHECKING:
     from frasa_rl.config import Task
     from frasa_rl.policy import Policy
     from frasa_rl.standup_env import StandUp
+    from frasa_rl.task_file import dump_task, load_task
 
 __version__ = "0.1.0"
-__all__ = ["Policy", "StandUp", "Task", "__version__"]
+__all__ = ["Policy", "StandUp", "Task", "__version__", "dump_task", "load_task"]
 
-_HOMES = {"StandUp": "frasa_rl.standup_env", "Policy": "frasa_rl.policy", "Task": "frasa_rl.config"}
+_HOMES = {
+    "StandUp": "frasa_rl.standup_env",
+    "Policy": "frasa_rl.policy",
+    "Task": "frasa_rl.config",
+    "dump_task": "frasa_rl.task_file",
+    "load_task": "frasa_rl.task_file",
+}
 
 # MuJoCo chooses its OpenGL when it is imported: without a display only EGL draws, and
 # asking for EGL where there is none would break the import.

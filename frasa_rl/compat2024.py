@@ -32,12 +32,12 @@ import mujoco
 import numpy as np
 from numpy.random import Generator
 
-from frasa_rl.config import Assumed, Physics, Task
+from frasa_rl.config import Physics, Task
 from frasa_rl.falls import Release, let_go, standing
 from frasa_rl.readings import Readings, Truth
 from frasa_rl.robot import Floats, Robot
 from frasa_rl.simulation import Simulation, Start, fresh
-from frasa_sysid.calibration import number
+from frasa_sysid.calibration import UsageError, number
 
 VELOCITY_WINDOW_S = 0.030
 TIME_RATIO = (0.98, 1.02)
@@ -159,28 +159,33 @@ class Draw:
         task: holds the ranges.
     """
 
+    _RANGES = ("floor_friction", "trunk_mass", "trunk_com", "supply_voltage", "joint_zero", "damping", "frictionloss")
     _FIELDS = ("geom_friction", "geom_priority", "body_mass", "body_ipos", "actuator_gainprm", "actuator_biasprm",
                "actuator_forcerange", "dof_damping", "dof_frictionloss", "qpos0")  # fmt: skip
 
     def __init__(self, model: mujoco.MjModel, robot: Robot, task: Task) -> None:
-        self._model, self._robot, self._ranges = model, robot, task.assumed
+        self._model, self._robot = model, robot
+        self._ranges = {name: one for name in self._RANGES if (one := getattr(task.assumed, name)) is not None}
+        if set(self._ranges) != set(self._RANGES):
+            raise UsageError(f"compat frasa2024 needs all of assumed.{', '.join(self._RANGES)}")
         self._originals = {name: getattr(model, name).copy() for name in self._FIELDS}
         self._voltage = number(model, "servo_supply_voltage")
 
     def __call__(self, rng: Generator) -> dict[str, float]:
         """Draw one, and return what was drawn."""
         model, ranges = self._model, self._ranges
+        com, zero = ranges["trunk_com"], ranges["joint_zero"]
         for name, value in self._originals.items():
             getattr(model, name)[:] = value
         drawn = {
             name: float(rng.uniform(one.low, one.high))
-            for name, one in vars(ranges).items()
-            if isinstance(one, Assumed) and name not in ("trunk_com", "joint_zero")
+            for name, one in ranges.items()
+            if name not in ("trunk_com", "joint_zero")
         }
         model.geom_friction[self._robot.floor, 0] = drawn["floor_friction"]
         model.geom_priority[self._robot.floor] = 1
         model.body_mass[self._robot.trunk] *= drawn["trunk_mass"]  # without inertia
-        model.body_ipos[self._robot.trunk] += rng.uniform(ranges.trunk_com.low, ranges.trunk_com.high, 3)
+        model.body_ipos[self._robot.trunk] += rng.uniform(com.low, com.high, 3)
         ratio = drawn["supply_voltage"] / self._voltage
         model.actuator_gainprm[:, 0] *= ratio
         model.actuator_biasprm[:, 1] *= ratio
@@ -188,6 +193,6 @@ class Draw:
         model.dof_damping *= drawn["damping"]
         model.dof_frictionloss *= drawn["frictionloss"]
         hinges = model.jnt_qposadr[np.unique(model.actuator_trnid[:, 0])]
-        model.qpos0[hinges] += rng.uniform(ranges.joint_zero.low, ranges.joint_zero.high, hinges.size)
+        model.qpos0[hinges] += rng.uniform(zero.low, zero.high, hinges.size)
         drawn["time_ratio"] = float(rng.uniform(*TIME_RATIO))  # D4
         return drawn

@@ -1,129 +1,21 @@
 """What the stand-up task is, in one place: poses, rates, rewards, ends, and the ranges nobody has measured.
 
-Measured ranges are not here: they come with the calibrated model (`frasa_sysid.calibration`).
+Measured ranges are not here: they come with the calibrated model (`frasa_sysid.calibration`). Numbers and names that
+cannot be are refused when a task is made (`TaskError`); what the model must have is checked by `find_robot`. Files that
+hold a task are read and written by `task_file`, whose comments are the attributes' descriptions here and in the parts.
 """
 
 from dataclasses import dataclass, field
-from math import pi, radians
+from math import pi
 from typing import Literal
 
+from frasa_rl.assumed import Assumed, AssumedRanges, ServoSpread
+from frasa_rl.config_checks import TaskError, above, name_of, one_of, within
+from frasa_rl.config_parts import Joint, Names, Physics, Reward
+
+__all__ = ["Assumed", "AssumedRanges", "Joint", "Names", "Physics", "Reward", "ServoSpread", "Task", "TaskError"]
+
 PAPER = "FRASA, Gaspard et al., arXiv 2410.08655"
-ENVIRONMENT = "FRASA's published environment, Rhoban/frasa at 78457df"
-
-
-@dataclass(frozen=True)
-class Joint:
-    """A joint the policy moves on both sides at once.
-
-    Attributes:
-        name: without the side; the model has `left_<name>` and `right_<name>`.
-        target_deg: angle of the standing pose [deg].
-        mirror: +1 when the same number on both sides is the symmetric pose, else -1.
-    """
-
-    name: str
-    target_deg: float
-    mirror: int = 1
-
-
-@dataclass(frozen=True)
-class Names:
-    """What the task's things are called in the model; braces stand for the joint's name.
-
-    Attributes:
-        trunk: body with the free joint; its axes are x forward, y left, z up.
-        floor: geom the robot lies and stands on.
-        left, right: joints, from the name of a `Joint`; both may be the same for a joint on the midline.
-        position, velocity: sensors, from the full name of a joint; None reads the truth, undelayed.
-        orientation, gyro: of the trunk, delayed as the robot reads them; None reads the truth.
-        self_contact: contact forces between parts of the robot; None has one added to the model.
-    """
-
-    trunk: str = "trunk"
-    floor: str = "floor"
-    left: str = "left_{}"
-    right: str = "right_{}"
-    position: str | None = "{}.position"
-    velocity: str | None = "{}.velocity"
-    orientation: str | None = "measured_orientation"
-    gyro: str | None = "measured_gyro"
-    self_contact: str | None = "self_contact"
-
-
-@dataclass(frozen=True)
-class Physics:
-    """How MuJoCo steps; None leaves what the model file says.
-
-    Attributes:
-        timestep: [s]; must divide the control period.
-        integrator: of `mjtIntegrator`.
-        cone: of friction.
-        iterations: most solver iterations a step.
-        tolerance: of the solver.
-        noslip_iterations: of the pass against creeping contacts.
-        self_collision: whether parts of the robot collide with each other.
-    """
-
-    timestep: float | None = None
-    integrator: Literal["euler", "implicit", "implicitfast", "rk4"] | None = None
-    cone: Literal["pyramidal", "elliptic"] | None = None
-    iterations: int | None = None
-    tolerance: float | None = None
-    noslip_iterations: int | None = None
-    self_collision: bool | None = None
-
-
-@dataclass(frozen=True)
-class Reward:
-    """Weights and slopes of the four terms; all are positive, so ending early only loses.
-
-    Attributes:
-        posture, action, variation, self_contact: weight of each term.
-        posture_slope: slope of the posture term [1/rad^2].
-        action_slope: slope of the action and variation terms [s/rad].
-        contact_slope: slope of the self-contact term [1/N].
-    """
-
-    posture: float = 1.0
-    action: float = 0.10  # in the published environment, absent from the paper
-    variation: float = 0.05
-    self_contact: float = 0.10
-    posture_slope: float = 20.0
-    action_slope: float = 1.0
-    contact_slope: float = 1.0
-
-
-@dataclass(frozen=True)
-class Assumed:
-    """A range that was not measured on the robot.
-
-    Attributes:
-        low, high: uniform between them.
-        unit: SI unit, or `ratio` when the model's own value is multiplied.
-        source: who assumed it.
-    """
-
-    low: float
-    high: float
-    unit: str
-    source: str
-
-
-@dataclass(frozen=True)
-class AssumedRanges:
-    """What differs from episode to episode beside the calibrated ranges.
-
-    A measured range replaces the assumed one: of the trunk's mass, each coordinate of its centre of mass, the
-    supply, each joint's zero, and damping and friction loss of each servo class.
-    """
-
-    floor_friction: Assumed = Assumed(0.25, 1.5, "1", ENVIRONMENT)
-    trunk_mass: Assumed = Assumed(0.8, 1.2, "ratio", ENVIRONMENT)
-    trunk_com: Assumed = Assumed(-0.005, 0.005, "m", ENVIRONMENT)
-    supply_voltage: Assumed = Assumed(13.8, 16.8, "V", f"{ENVIRONMENT}: a 4-cell battery, empty to full")
-    joint_zero: Assumed = Assumed(radians(-1.5), radians(1.5), "rad", ENVIRONMENT)
-    damping: Assumed = Assumed(0.8, 1.2, "ratio", ENVIRONMENT)
-    frictionloss: Assumed = Assumed(0.8, 1.2, "ratio", ENVIRONMENT)
 
 
 @dataclass(frozen=True)
@@ -131,14 +23,17 @@ class Task:
     """The stand-up task.
 
     Attributes:
-        compat: `frasa2024` behaves as FRASA's published environment does, its errors included (`compat2024`).
-        joints: what the policy moves, in the order of actions and observations.
+        compat: empty; `frasa2024` behaves as FRASA's published environment does, its errors included (`compat2024`).
+        joints: what the policy moves, in the order of actions and observations: `name` without the side, `target_deg`
+            of the left side in the standing pose, `mirror` -1 where the right side needs the opposite number; `left`
+            and `right`, where `names` would not make the model's names of it.
         target_pitch_deg: trunk pitch of the standing pose, forward positive [deg].
-        held_deg: fixed commands of other actuators [deg]; those not named hold 0.
+        held_deg: fixed commands of other actuators, by name [deg]; those not named hold 0.
         control_period_s: time between two actions [s].
         rate_limit: joint rate that action 1 stands for [rad/s].
         episode_s: an episode is truncated after it [s].
-        end_pitch_deg, end_gyro: an episode ends beyond these [deg], [rad/s].
+        end_pitch_deg: an episode ends beyond this trunk pitch, either way [deg].
+        end_gyro: and beyond this pitch rate [rad/s].
         near_target_share: share of the starts that are near the standing pose (p_s of the paper).
         near_target_spread: half-width of the joint offsets of such a start [rad].
         falling_share: share of the starts somewhere between the standing pose and a random one, still falling.
@@ -146,8 +41,14 @@ class Task:
         start_pitch_deg: half-width of the trunk pitch of all other starts [deg].
         release_height: gap between the lowest point and the floor at release [m].
         settle_max_s: longest time a fall may take to come to rest [s].
-        still_s, still_speed: at rest means all speeds below `still_speed` [rad/s, m/s] for `still_s` [s].
-        success_deg, success_hold_s: standing means all six errors below this, for so long [deg], [s].
+        still_s: at rest means slow for so long [s].
+        still_speed: slow means all speeds below this [rad/s, m/s].
+        success_deg: standing means the errors of all joints and of the pitch below this [deg].
+        success_hold_s: for so long [s].
+        nominal_voltage: supply at which gains and torque limits of the model hold [V]; null reads the model's custom
+            number `servo_supply_voltage`. Without either, an assumed range in volts is not drawn.
+        reward: weights and slopes.
+        assumed: ranges that were not measured.
         names: what all these things are called in the model.
         physics: how MuJoCo steps.
     """
@@ -178,7 +79,78 @@ class Task:
     still_speed: float = 0.05
     success_deg: float = 5.0
     success_hold_s: float = 0.5
+    nominal_voltage: float | None = None
     reward: Reward = field(default_factory=Reward)
     assumed: AssumedRanges = field(default_factory=AssumedRanges)
     names: Names = field(default_factory=Names)
     physics: Physics = field(default_factory=Physics)
+
+    def __post_init__(self) -> None:
+        one_of("compat", self.compat, ("", "frasa2024"))
+        self._check_joints()
+        for name, (low, high, unit) in _BOUNDS.items():
+            within(name, getattr(self, name), low, high, unit)
+        for name, (low, high, unit) in _ABOVE.items():
+            above(name, getattr(self, name), low, high, unit)
+        self._check_together()
+
+    def _check_joints(self) -> None:
+        if not self.joints:
+            raise TaskError("joints is empty: expected at least one joint to move")
+        pairs = [self.names.pair(one) for one in self.joints]
+        for one, (left, right) in zip(self.joints, pairs, strict=True):
+            if left == right and one.mirror != 1:
+                raise TaskError(f"{one.name} is {left} on both sides with mirror {one.mirror}: expected mirror 1")
+        moved = [name for pair in pairs for name in dict.fromkeys(pair)]
+        for kind, names in (("joints", moved), ("held_deg", [name for name, _ in self.held_deg])):
+            twice = sorted({name for name in names if names.count(name) > 1})
+            if twice:
+                raise TaskError(f"{kind} has {', '.join(twice)} twice: expected each once")
+        for name, angle in self.held_deg:
+            name_of("a name in held_deg", name)
+            within(f"held_deg of {name}", angle, -180.0, 180.0, "deg")
+
+    def _check_together(self) -> None:
+        """Numbers that contradict each other."""
+        shares = self.near_target_share + self.falling_share
+        if shares > 1.0 + 1e-9:
+            raise TaskError(f"near_target_share and falling_share are {shares:g} together: expected at most 1")
+        for small, large in _ORDER:
+            if getattr(self, small) > getattr(self, large) + 1e-9:
+                raise TaskError(
+                    f"{small} is {getattr(self, small):g} and {large} is {getattr(self, large):g}: "
+                    f"expected {small} not to be larger"
+                )
+        if abs(self.target_pitch_deg) >= self.end_pitch_deg:
+            raise TaskError(
+                f"target_pitch_deg is {self.target_pitch_deg:g} and end_pitch_deg is {self.end_pitch_deg:g}: "
+                "expected a standing pose that does not end the episode"
+            )
+
+
+_BOUNDS = {
+    "target_pitch_deg": (-90.0, 90.0, "deg"),
+    "end_gyro": (0.0, 1e3, "rad/s"),
+    "near_target_share": (0.0, 1.0, ""),
+    "near_target_spread": (0.0, pi, "rad"),
+    "falling_share": (0.0, 1.0, ""),
+    "start_pitch_deg": (0.0, 180.0, "deg"),
+    "release_height": (0.0, 1.0, "m"),
+    "success_hold_s": (0.0, 600.0, "s"),
+}
+_ABOVE = {
+    "control_period_s": (0.0, 1.0, "s"),
+    "rate_limit": (0.0, 100.0, "rad/s"),
+    "episode_s": (0.0, 3600.0, "s"),
+    "end_pitch_deg": (0.0, 180.0, "deg"),
+    "falling_s": (0.0, 60.0, "s"),
+    "settle_max_s": (0.0, 60.0, "s"),
+    "still_s": (0.0, 60.0, "s"),
+    "still_speed": (0.0, 100.0, "rad/s"),
+    "success_deg": (0.0, 90.0, "deg"),
+    "nominal_voltage": (0.0, 1e3, "V"),
+}
+_ORDER = (
+    ("control_period_s", "episode_s"),
+    ("still_s", "settle_max_s"),
+)

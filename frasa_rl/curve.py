@@ -3,7 +3,9 @@
 from pathlib import Path
 
 from frasa_rl.config import Task
+from frasa_rl.policy import RUN_FILE, read_run
 from frasa_rl.progress import COLUMNS, CSV_FILE, read_progress
+from frasa_rl.task_file import task_from
 
 
 def still_return(task: Task) -> float:
@@ -13,6 +15,11 @@ def still_return(task: Task) -> float:
     """
     weights = task.reward
     return (weights.action + weights.variation + weights.self_contact) * task.episode_s / task.control_period_s
+
+
+def _task_of(run: Path) -> Task:
+    path = run / RUN_FILE
+    return task_from(read_run(path).get("task", {}), str(path)) if path.is_file() else Task()
 
 
 def draw_curve(run: Path) -> Path | None:
@@ -30,10 +37,11 @@ def draw_curve(run: Path) -> Path | None:
     figure = Figure(figsize=(7.0, 4.0), layout="constrained")
     left = figure.subplots()
     left.plot(columns["minutes"], columns["return"], color="tab:blue")
-    still = still_return(Task())
+    task = _task_of(run)
+    still, most = still_return(task), task.reward.posture * task.episode_s / task.control_period_s + still_return(task)
     left.axhline(still, color="tab:blue", ls="--", lw=1.0, label=f"lying still: at most {still:.0f}")
     left.legend(loc="lower right")
-    left.set(xlabel="training time [min]", ylabel="return of an episode (at most 125)", title=run.name)
+    left.set(xlabel="training time [min]", ylabel=f"return of an episode (at most {most:.0f})", title=run.name)
     left.grid(alpha=0.3)
     right = left.twinx()
     right.plot(columns["minutes"], [100.0 * one for one in columns["success"]], color="tab:green")

@@ -22,9 +22,9 @@ SIDES: tuple[Side, ...] = ("prone", "supine")
 TRIAL_S = 10.0  # the paper's keyframes need 5.06 s from supine: a training episode is too short to see them
 
 
-def evaluation_task() -> Task:
-    """The task of training with more time."""
-    return replace(Task(), episode_s=TRIAL_S)
+def evaluation_task(task: Task | None = None) -> Task:
+    """The task of training, by default the Sigmaban's, with more time."""
+    return replace(task or Task(), episode_s=TRIAL_S)
 
 
 def check_policy(policy: Policy, env: StandUp, *, allow_other_model: bool = False) -> None:

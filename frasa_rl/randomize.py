@@ -9,19 +9,13 @@ import mujoco
 import numpy as np
 from numpy.random import Generator
 
+from frasa_rl.assumed_delays import AssumedDelays
 from frasa_rl.config import Assumed, Task
+from frasa_rl.friction_stand_in import StandIns, laws_aside
 from frasa_rl.robot import Robot
-from frasa_sysid.calibration import (
-    Calibration,
-    actuators_of,
-    apply,
-    dofs_of,
-    number,
-    read,
-    servo_classes,
-    servo_law,
-    stepping,
-)
+from frasa_rl.servo_ratios import FIELDS, ServoRatios, driven
+from frasa_rl.supply import assumed_supply, nominal_voltage, scale_supply
+from frasa_sysid.calibration import Calibration, assign, read
 
 # What a draw writes to, and what mj_setConst derives from it.
 _TOUCHED = (
@@ -52,18 +46,27 @@ class Randomizer:
         robot: where things are in the model.
         task: holds the assumed ranges.
         calibration: the measured ranges; None for a nominal model.
+
+    Raises:
+        ModelError: an assumed range does not suit the model.
     """
 
     def __init__(self, model: mujoco.MjModel, robot: Robot, task: Task, calibration: Calibration | None) -> None:
         self._model, self._robot, self._ranges = model, robot, task.assumed
         self._calibration = calibration
+        measured = set(calibration.ranges) if calibration else set()
         self._data = mujoco.MjData(model)
         self._originals = {name: getattr(model, name).copy() for name in _TOUCHED}
-        self._servos = {name: actuators_of(model, name) for name in servo_classes(model)}
-        # Beyond frictionloss: the Coulomb part of each law.
-        laws = {name: servo_law.law(model, name) for name in self._servos} if servo_law.has_law(model) else {}
-        self._coulomb = {f"{name}.frictionloss": law.coulomb for name, law in laws.items() if law is not None}
-        self._voltage = number(model, "servo_supply_voltage")
+        # Friction laws that the task has put aside are drawn as what stands in for them.
+        self._stand_ins = StandIns(model, task.rate_limit) if laws_aside(model) else None
+        self._ratios = ServoRatios(model, self._ranges, measured)
+        self._delays = AssumedDelays(model, robot, self._ranges, measured)
+        self._supply = None if "supply_voltage" in measured else assumed_supply(model, task)
+        self._volts = nominal_voltage(model, task)
+        joints = [model.joint(int(i)).name for i in np.unique(model.actuator_trnid[driven(model), 0])]
+        self._zeros = {f"{name}.zero": read(model, f"{name}.zero") for name in joints}
+        others = np.delete(model.geom_priority, robot.floor)
+        self._floor_priority = int(others.max(initial=0)) + 1
 
     def restore(self) -> None:
         """Make the model the original again."""
@@ -77,72 +80,75 @@ class Randomizer:
         Returns:
             The numbers drawn, by name: ratios for masses and servos, SI units for the rest.
         """
+        model = self._model
         for name, value in self._originals.items():
-            getattr(self._model, name)[:] = value
-        drawn = self._draw_measured(rng)
-        if "supply_voltage" not in drawn:
-            drawn["supply_voltage"] = self._draw_voltage(rng)
-        drawn["floor_friction"] = self._draw_floor(rng)
-        drawn["trunk_mass"] = self._draw_trunk(rng, drawn)
-        # Masses, frames and armatures have changed: inverse weights and the like follow.
-        apply(self._model, self._draw_joint_zeros(rng, drawn))
+            getattr(model, name)[:] = value
+        measured = self._draw_measured(rng)
+        drawn = dict(measured) | self._draw_floor(rng)
+        self._draw_trunk(rng, measured)
+        spreads = {field: self._ratios.draw(rng, field) for field in FIELDS}
+        values = self._draw_joint_zeros(rng, measured)
+        for one in spreads.values():
+            drawn |= one.told
+            values |= one.values
+        drawn |= values
+        assign(model, {**values, **measured})
+        for field, one in spreads.items():
+            self._ratios.multiply(model, field, one.ratios)
+        drawn |= self._draw_supply(rng) | self._delays.draw(rng, model)
+        drawn["trunk_mass"] = float(
+            model.body_mass[self._robot.trunk] / self._originals["body_mass"][self._robot.trunk]
+        )
+        mujoco.mj_setConst(model, self._data)  # inverse weights and the like follow masses, frames and armatures
         return drawn
 
     def _draw_measured(self, rng: Generator) -> dict[str, float]:
-        """Calibrated parameters from their ranges; damping and friction loss by assumed ratios elsewhere."""
+        """Calibrated parameters from their ranges, together where the calibration says so."""
         measured = self._calibration.sample(rng) if self._calibration else {}
-        ratios = {name: _uniform(rng, getattr(self._ranges, name)) for name in ("damping", "frictionloss")}
-        for field, ratio in ratios.items():
-            values = getattr(self._model, f"dof_{field}")
-            for servo, actuators in self._servos.items():
-                dofs = dofs_of(self._model, actuators)
-                if f"{servo}.{field}" in measured:
-                    continue
-                if field == "damping":  # what a joint weighs stays as it is
-                    stepping.set_damping(self._model, dofs, values[dofs] * ratio)
-                else:
-                    values[dofs] *= ratio
-        assumed = {name: value * ratios["frictionloss"] for name, value in self._coulomb.items()}
-        if assumed or measured:
-            apply(self._model, {**assumed, **measured})
-        return {**ratios, **measured}
+        return self._stand_ins.exchange(measured) if self._stand_ins else measured
 
-    def _draw_voltage(self, rng: Generator) -> float:
-        """Gain and torque limit of a position servo scale with its supply voltage; damping does not."""
-        voltage = _uniform(rng, self._ranges.supply_voltage)
-        ratio = voltage / self._voltage
-        self._model.actuator_gainprm[:, 0] *= ratio
-        self._model.actuator_biasprm[:, 1] *= ratio
-        self._model.actuator_forcerange *= ratio
-        return voltage
+    def _draw_supply(self, rng: Generator) -> dict[str, float]:
+        """Told in volts where they are known, else as a ratio."""
+        if self._supply is None:
+            return {}
+        ratio = _uniform(rng, self._supply)
+        scale_supply(self._model, ratio)
+        return {"supply_voltage": ratio * self._volts} if self._volts is not None else {"supply_ratio": ratio}
 
-    def _draw_floor(self, rng: Generator) -> float:
+    def _draw_floor(self, rng: Generator) -> dict[str, float]:
+        """A higher priority makes the floor's friction hold whatever the other geom's is."""
+        if self._ranges.floor_friction is None:
+            return {}
         friction = _uniform(rng, self._ranges.floor_friction)
         self._model.geom_friction[self._robot.floor, 0] = friction
-        # A higher priority makes the floor's friction hold whatever the other geom's is.
-        self._model.geom_priority[self._robot.floor] = 1
-        return friction
+        self._model.geom_priority[self._robot.floor] = self._floor_priority
+        return {"floor_friction": friction}
 
-    def _draw_trunk(self, rng: Generator, measured: Mapping[str, float]) -> float:
-        """Mass and centre of mass that were not measured, around those of the model; returns the ratio of masses."""
-        ratio, trunk = _uniform(rng, self._ranges.trunk_mass), self._robot.trunk
-        if "trunk.mass" not in measured:
-            self._model.body_mass[trunk] *= ratio
-            self._model.body_inertia[trunk] *= ratio
+    def _draw_trunk(self, rng: Generator, measured: Mapping[str, float]) -> None:
+        """Mass and centre of mass that were not measured, around those of the model; inertia goes with the mass."""
+        model, trunk, ranges = self._model, self._robot.trunk, self._ranges
+        if ranges.trunk_mass is not None:
+            ratio = _uniform(rng, ranges.trunk_mass)
+            if "trunk.mass" not in measured:
+                model.body_mass[trunk] *= ratio
+                model.body_inertia[trunk] *= ratio
+        if ranges.trunk_com is None:
+            return
+        # Compiled with its centre of mass at the frame's origin, a body is taken there whatever `body_ipos` says.
+        model.body_sameframe[trunk] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
         for axis, name in enumerate(("trunk.com_x", "trunk.com_y", "trunk.com_z")):
-            offset = _uniform(rng, self._ranges.trunk_com)
+            offset = _uniform(rng, ranges.trunk_com)
             if name not in measured:
-                self._model.body_ipos[trunk, axis] += offset
-        return float(self._model.body_mass[trunk] / self._originals["body_mass"][trunk])
+                model.body_ipos[trunk, axis] += offset
 
     def _draw_joint_zeros(self, rng: Generator, measured: Mapping[str, float]) -> dict[str, float]:
         """Zero errors that were not measured, around those of the model: a servo horn mounted a little off."""
-        drawn = {}
-        for joint in np.unique(self._model.actuator_trnid[:, 0]):
-            name, offset = f"{self._model.joint(joint).name}.zero", _uniform(rng, self._ranges.joint_zero)
-            if name not in measured:
-                drawn[name] = read(self._model, name) + offset
-        return drawn
+        one = self._ranges.joint_zero
+        if one is None:
+            return {}
+        offsets = rng.uniform(one.low, one.high, len(self._zeros))
+        drawn = zip(self._zeros.items(), offsets, strict=True)
+        return {name: zero + float(offset) for (name, zero), offset in drawn if name not in measured}
 
 
 def _uniform(rng: Generator, assumed: Assumed) -> float:

@@ -78,11 +78,12 @@ def find_robot(model: mujoco.MjModel, task: Task) -> Robot:
     """Resolve every name the task needs.
 
     Raises:
-        ModelError: some are missing (all are listed, with what the model has), a joint has no position
-            actuator with a control range, the trunk has no free joint, or a sensor is not aligned with it.
+        ModelError: some are missing (all are listed, with what the model has), a joint is no hinge or has no position
+            actuator with a control range, a pose is outside of that range, the trunk has no free joint, or a
+            sensor is not aligned with it.
     """
     names = task.names
-    joints = [[names.left.format(one.name), names.right.format(one.name)] for one in task.joints]
+    joints = [list(names.pair(one)) for one in task.joints]
     flat = [name for pair in joints for name in pair]
     _require(model, "joint", flat)
     _require(model, "actuator", [name for name, _ in task.held_deg])
@@ -96,17 +97,16 @@ def find_robot(model: mujoco.MjModel, task: Task) -> Robot:
     mirror = np.array([[1.0, one.mirror] for one in task.joints])
     ranges = model.actuator_ctrlrange[actuators] * mirror[:, :, None]
     ranges.sort(axis=2)
-    commands = np.zeros(model.nu)
-    for name, angle in task.held_deg:
-        commands[model.actuator(name).id] = np.radians(angle)
+    limits = np.stack([ranges[:, :, 0].max(axis=1), ranges[:, :, 1].min(axis=1)], axis=1)
+    _check_targets(task, limits)
     return Robot(
         actuators=actuators,
         qpos=model.jnt_qposadr[ids].astype(np.int64),
         dofs=model.jnt_dofadr[ids].astype(np.int64),
         mirror=mirror,
         weights=np.array([1.0, 0.0] if task.compat else [0.5, 0.5]),
-        limits=np.stack([ranges[:, :, 0].max(axis=1), ranges[:, :, 1].min(axis=1)], axis=1),
-        held=commands,
+        limits=limits,
+        held=_held(model, task, actuators),
         position=_joint_sensors(model, names.position, joints),
         velocity=_joint_sensors(model, names.velocity, joints),
         orientation=_trunk_sensor(model, names.orientation, trunk, 4),
@@ -125,7 +125,7 @@ ADDED_SELF_CONTACT = "frasa_self_contact"
 def sensor_names(task: Task) -> list[str]:
     """Every sensor the task reads."""
     names = task.names
-    joints = [side.format(one.name) for one in task.joints for side in (names.left, names.right)]
+    joints = [name for one in task.joints for name in names.pair(one)]
     of_joints = [pattern.format(joint) for pattern in (names.position, names.velocity) if pattern for joint in joints]
     return [*of_joints, *(one for one in (names.orientation, names.gyro, names.self_contact) if one)]
 
@@ -156,13 +156,53 @@ def _root(model: mujoco.MjModel, trunk: int, names: Names) -> int:
 def _actuator_of(model: mujoco.MjModel, joint: int) -> int:
     """The position actuator of a joint."""
     name = model.joint(joint).name
+    if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
+        raise ModelError(f"joint {name} is no hinge: the task moves hinges only")
     drives = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint)
     found = np.flatnonzero(drives & (model.actuator_biasprm[:, 1] < 0.0))
     if found.size != 1:
         raise ModelError(f"joint {name} has {found.size} position actuators: expected one")
     if not model.actuator_ctrllimited[found[0]]:
         raise ModelError(f"the actuator of joint {name} has no ctrlrange: the task needs to know how far it may go")
+    if model.actuator_gear[found[0], 0] != 1.0:
+        raise ModelError(
+            f"the actuator of joint {name} has gear {model.actuator_gear[found[0], 0]:g}: expected 1, so that "
+            "its command is the joint's angle"
+        )
     return int(found[0])
+
+
+def _check_targets(task: Task, limits: Floats) -> None:
+    """The standing pose must be one that can be commanded, on both sides."""
+    for one, (low, high) in zip(task.joints, np.degrees(limits), strict=True):
+        left, right = task.names.pair(one)
+        if low > high - 1e-6:
+            raise ModelError(
+                f"{left} and {right} have no range in common with mirror {one.mirror}: is the mirror right, and are "
+                "their ctrlranges?"
+            )
+        if not low - 1e-6 <= one.target_deg <= high + 1e-6:
+            raise ModelError(
+                f"target_deg of {one.name} is {one.target_deg:g}: the ctrlrange of {left} and {right} allows "
+                f"{low:.1f} .. {high:.1f} deg (seen from the left); is its sign right?"
+            )
+
+
+def _held(model: mujoco.MjModel, task: Task, moved: Indices) -> Floats:
+    """The commands of all actuators that the policy does not move, shape (nu,)."""
+    commands = np.zeros(model.nu)
+    for name, angle in task.held_deg:
+        index, value = int(model.actuator(name).id), float(np.radians(angle))
+        low, high = model.actuator_ctrlrange[index]
+        if index in moved:
+            raise ModelError(f"actuator {name} is in held_deg, and is one that the policy moves: take one of the two")
+        if model.actuator_ctrllimited[index] and not low - 1e-9 <= value <= high + 1e-9:
+            raise ModelError(
+                f"held_deg of {name} is {angle:g}: its ctrlrange allows {np.degrees(low):.1f} .. "
+                f"{np.degrees(high):.1f} deg"
+            )
+        commands[index] = value
+    return commands
 
 
 def _joint_sensors(model: mujoco.MjModel, pattern: str | None, joints: list[list[str]]) -> Sensors:

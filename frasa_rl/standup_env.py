@@ -60,6 +60,7 @@ class StandUp(gymnasium.Env[Observation, Action]):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise UsageError(f"unknown render_mode '{render_mode}': expected rgb_array or None")
         self.task, self.render_mode = task, render_mode
+        self.metadata = {**self.metadata, "render_fps": round(1.0 / task.control_period_s)}
         compiled = build_model(Path(model), task, textures=render_mode is not None)
         self.calibration_id = calibration_id(compiled)
         self._maker = StartMaker(compiled, task, load_calibration(Path(model)), randomize=randomize, threads=1)

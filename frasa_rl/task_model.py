@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from frasa_rl.config import Physics, Task
+from frasa_rl.friction_stand_in import put_aside, stand_in
 from frasa_rl.robot import ADDED_SELF_CONTACT, sensor_names
 from frasa_sysid.calibration import ModelError, compile_model, load_spec, stepping
 
@@ -52,7 +53,11 @@ def build_model(
         _add_self_contact(spec, task.names.trunk)
     if add is not None:
         add(spec)
+    if task.physics.friction_law != "model":
+        put_aside(spec)
     model = compile_model(spec, path)
+    if task.physics.friction_law != "model":
+        stand_in(model, task.rate_limit)
     _set_physics(model, task.physics, task.names.trunk)
     substeps(model, task.control_period_s)  # says early when they do not go together
     return model

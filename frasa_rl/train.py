@@ -8,7 +8,7 @@ runs/NAME/checkpoints/        the newest checkpoint;  tensorboard/  the learner'
 
 import platform
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,8 @@ from frasa_rl.observation import layout
 from frasa_rl.policy import FOLDER, RUN_FILE, read_run
 from frasa_rl.progress import Progress, stop_on_signals
 from frasa_rl.settings import Settings
+from frasa_rl.task_file import task_from
+from frasa_rl.task_text import task_data
 from frasa_rl.vec_env import StandUpVecEnv
 from frasa_sysid.calibration import (
     CalibrationError,
@@ -59,6 +61,7 @@ class Plan:
         settings: of the learner.
         steps, minutes: the run ends at whichever comes first; None for no limit.
         device: `auto`, `cpu` or `cuda`.
+        task: what is trained; its shares of starts are those of the settings.
     """
 
     model: Path
@@ -67,6 +70,11 @@ class Plan:
     steps: int | None = None
     minutes: float | None = None
     device: str = "auto"
+    task: Task = field(default_factory=Task)
+
+    def __post_init__(self) -> None:
+        shares = {name: getattr(self.settings, name) for name in ("near_target_share", "falling_share")}
+        object.__setattr__(self, "task", replace(self.task, **shares))
 
 
 def train(plan: Plan, *, resume: bool = False) -> dict[str, Any]:
@@ -99,7 +107,7 @@ def train(plan: Plan, *, resume: bool = False) -> dict[str, Any]:
 
 def describe(plan: Plan) -> dict[str, Any]:
     """What run.yaml says: all that determines the run, in plain data."""
-    model, task = load_model(plan.model), task_of(plan.settings)
+    model, task = load_model(plan.model), plan.task
     versions = {
         "frasa": __version__,
         "python": platform.python_version(),
@@ -120,16 +128,11 @@ def describe(plan: Plan) -> dict[str, Any]:
             "device": plan.device,
             "settings": asdict(plan.settings),
             "observation": [{"name": one.name, "size": one.size, "unit": one.unit} for one in layout(task)],
-            "task": asdict(task),
+            "task": task_data(task),
             "versions": versions,
         }
     )
     return said
-
-
-def task_of(settings: Settings) -> Task:
-    """The task as a run trains it."""
-    return replace(Task(), near_target_share=settings.near_target_share, falling_share=settings.falling_share)
 
 
 def plan_of(run: Path) -> Plan:
@@ -153,6 +156,7 @@ def plan_of(run: Path) -> Plan:
             steps=said["steps"],
             minutes=said["minutes"],
             device=said["device"],
+            task=task_from(said["task"], str(run / RUN_FILE)),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{run / RUN_FILE}: missing or wrong field: {error!r}") from error
@@ -170,7 +174,12 @@ def make_envs(plan: Plan) -> VecEnv:
     settings = plan.settings
     with shown_share(f"settling {settings.pool} starts") as tell:
         envs = StandUpVecEnv(
-            plan.model, task_of(settings), settings.envs, pool=settings.pool, seed=settings.seed, tell=tell
+            plan.model,
+            plan.task,
+            settings.envs,
+            pool=settings.pool,
+            seed=settings.seed,
+            tell=tell,
         )
     return VecMonitor(envs)
 

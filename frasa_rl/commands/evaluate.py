@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from frasa_rl.commands.task_option import add_task_option, chosen_task
 from frasa_rl.evaluate import SCHEMA, check_policy, evaluate, evaluation_task
 from frasa_rl.policy import Policy
 from frasa_rl.standup_env import StandUp
@@ -28,13 +29,14 @@ def add_policy(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("policy", help="a run or policy folder, or 'nothing' (every command held)")
     parser.add_argument("--model", type=Path, help="model file (default: the one the policy was trained on)")
     parser.add_argument("--allow-other-model", action="store_true", help="run it on another calibration than its own")
+    add_task_option(parser)
 
 
 def load_both(args: argparse.Namespace, render_mode: str | None = None) -> tuple[Policy | None, StandUp]:
     """The policy and the environment the arguments name, checked against each other."""
     policy = None if args.policy == NOTHING else Policy.load(args.policy)
     trained_on = Path(str(policy.run.get("model", DEFAULT_MODEL))) if policy else DEFAULT_MODEL
-    env = StandUp(args.model or trained_on, evaluation_task(), render_mode=render_mode)
+    env = StandUp(args.model or trained_on, evaluation_task(chosen_task(args, policy)), render_mode=render_mode)
     if policy:
         check_policy(policy, env, allow_other_model=args.allow_other_model)
     return policy, env

@@ -6,7 +6,11 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from frasa_rl.commands.task_option import add_task_option
+from frasa_rl.compat2024 import compat_task
+from frasa_rl.config import Task
 from frasa_rl.settings import PRESETS, Settings
+from frasa_rl.task_file import load_task
 from frasa_sysid.calibration import UsageError, add_json_flag, say
 
 if TYPE_CHECKING:
@@ -19,6 +23,8 @@ def add_command(commands: Subparsers) -> None:
     """Add `train` to the command line."""
     parser = commands.add_parser("train", help="train a stand-up policy with CrossQ")
     parser.add_argument("--model", type=Path, help="model file (default robot_model/calibrated.xml)")
+    add_task_option(parser, "the Sigmaban's")
+    parser.add_argument("--compat", choices=("frasa2024",), help="train as FRASA's published environment does")
     parser.add_argument("--minutes", type=float, help="end after this many minutes of training")
     parser.add_argument("--steps", type=int, help="end after this many transitions")
     parser.add_argument("--seed", type=int, help="seed of everything (default 0)")
@@ -43,7 +49,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     if args.resume:
         given = [
             name
-            for name in ("model", "seed", "envs", "threads", "preset", "out")
+            for name in ("model", "task", "compat", "seed", "envs", "threads", "preset", "out")
             if getattr(args, name) is not None
         ]
         if given:
@@ -51,13 +57,15 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         plan = extended(plan_of(args.resume), args.steps, args.minutes)
         plan = replace(plan, device=args.device or plan.device)
     else:
+        task, settings = _task_and_settings(args)
         plan = Plan(
             model=args.model or Path("robot_model/calibrated.xml"),
             out=args.out or Path("runs") / f"standup-{datetime.now():%Y%m%d-%H%M%S}",
-            settings=_settings(args),
+            settings=settings,
             steps=args.steps,
             minutes=args.minutes,
             device=args.device or "auto",
+            task=task,
         )
     result = train(plan, resume=bool(args.resume))
     _tell(plan, result)
@@ -67,6 +75,17 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
 def _settings(args: argparse.Namespace) -> Settings:
     given = {name: getattr(args, name) for name in ("seed", "envs", "threads") if getattr(args, name) is not None}
     return replace(PRESETS[args.preset or "quick"], **given)
+
+
+def _task_and_settings(args: argparse.Namespace) -> tuple[Task, Settings]:
+    """Shares of starts are the preset's, unless the task file or the published environment says otherwise."""
+    settings = _settings(args)
+    task = replace(Task(), near_target_share=settings.near_target_share, falling_share=settings.falling_share)
+    if args.task is not None:
+        task = load_task(args.task, task)
+    if args.compat:
+        task = compat_task(task)
+    return task, replace(settings, near_target_share=task.near_target_share, falling_share=task.falling_share)
 
 
 def _tell(plan: "Plan", result: dict[str, Any]) -> None:

@@ -8,6 +8,7 @@ Imports numpy, mujoco and yaml only, so that a policy can be trained without the
 from frasa_sysid.calibration.apply import (
     actuators_of,
     apply,
+    assign,
     delay_room,
     delayed_sensors,
     dofs_of,
@@ -66,6 +67,7 @@ __all__ = [
     "actuators_of",
     "add_json_flag",
     "apply",
+    "assign",
     "calibration_id",
     "compile_model",
     "delay_room",

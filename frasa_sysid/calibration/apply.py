@@ -52,10 +52,10 @@ def actuators_of(model: mujoco.MjModel, servo: str) -> npt.NDArray[np.int64]:
     Raises:
         ModelError: the model has no such class.
     """
-    if servo not in servo_classes(model):
+    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TUPLE, servo)
+    if index < 0 or not (_tuple_types(model, index) == mujoco.mjtObj.mjOBJ_ACTUATOR).all():
         known = ", ".join(servo_classes(model)) or "none (no custom tuple lists actuators)"
         raise ModelError(f"the model has no servo class '{servo}'; it has {known}")
-    index = model.tuple(servo).id
     start = model.tuple_adr[index]
     return np.asarray(model.tuple_objid[start : start + model.tuple_size[index]], dtype=np.int64)
 
@@ -93,6 +93,21 @@ def delayed_sensors(model: mujoco.MjModel, field: str) -> npt.NDArray[np.int64]:
 def apply(model: mujoco.MjModel, values: Mapping[str, float]) -> None:
     """Set calibrated values in a model, in place, and refresh what MuJoCo derives from them.
 
+    Args:
+        model: the compiled model.
+        values: value by parameter name, in the units of `parameters`.
+
+    Raises:
+        CalibrationError: a name that does not exist.
+        ModelError: as `assign` says.
+    """
+    assign(model, values)
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def assign(model: mujoco.MjModel, values: Mapping[str, float]) -> None:
+    """Set calibrated values in a model, in place; `mj_setConst` is left to the caller.
+
     Where motor and load share a coefficient of the friction law (M3, M4), setting the motor's
     sets the load's with it, unless that is given too.
 
@@ -122,7 +137,6 @@ def apply(model: mujoco.MjModel, values: Mapping[str, float]) -> None:
             _set_servo(model, one, value)
     for servo, coefficients in laws.items():
         _set_coefficients(model, servo, coefficients)
-    mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
 def read(model: mujoco.MjModel, name: str) -> float:

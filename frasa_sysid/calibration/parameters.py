@@ -8,6 +8,7 @@ centre of mass, and `supply_voltage`.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 from frasa_sysid.calibration.errors import CalibrationError
 
@@ -84,6 +85,7 @@ ROBOT_FIELDS: dict[str, tuple[str, str]] = {
 }
 
 
+@lru_cache(1024)  # asked for every number of every robot drawn
 def parameter(name: str) -> Parameter:
     """The parameter of that name.
 

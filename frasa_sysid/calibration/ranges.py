@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import erf, sqrt
 from types import MappingProxyType
 from typing import Any
@@ -87,8 +88,12 @@ class Calibration:
         deviates = dict(zip(names, rng.standard_normal(len(names)), strict=True))
         if self.correlated:
             independent = np.array([deviates[name] for name in self.correlated])
-            deviates.update(zip(self.correlated, _root(self.correlation) @ independent, strict=True))
+            deviates.update(zip(self.correlated, self._mixing @ independent, strict=True))
         return {name: one.low + _normal_cdf(deviates[name]) * (one.high - one.low) for name, one in self.ranges.items()}
+
+    @cached_property
+    def _mixing(self) -> npt.NDArray[np.float64]:
+        return _root(self.correlation)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for YAML."""
