@@ -5,7 +5,7 @@ Push: a pendulum hits the standing robot's trunk; time from the first deviation 
 Source: FRASA, Gaspard et al., arXiv 2410.08655 (on the robot); None where a number is not known to this project.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -60,6 +60,11 @@ class Conditions:
     def generator(self, *place: int) -> np.random.Generator:
         """The chance of one trial, whatever other trials there are; `place` says which one it is."""
         return np.random.default_rng([self.seed, *place])
+
+
+def evaluation_task() -> Task:
+    """The task of training with the time that a trial has: a training episode is too short to see slow keyframes."""
+    return replace(Task(), episode_s=LIMIT_S)
 
 
 def mean_and_std(times: list[float | None]) -> tuple[float | None, float | None]:

@@ -128,9 +128,12 @@ def test_a_fall_is_a_fall(tmp_path):
 
 
 def test_a_controller_that_does_not_stand_is_not_pushed():
-    """Who leaves the pose before the push is counted apart: neither hit nor fallen."""
-    trial = run_push(Script((0.5, 1.0, 30.0)), Conditions(BOX, BOX_TASK), 1, cells=[("front", 7.3)])[0]
-    assert (trial.stood, trial.hit, trial.fell, trial.time_s) == (False, False, False, None)
+    """Who leaves the pose before the push is counted apart: neither hit nor fallen, also where no bob could hit it."""
+    script, rod = Script((0.5, 1.0, 30.0)), replace(Conditions(BOX).rig, height=4.0)
+    for conditions in (Conditions(BOX, BOX_TASK), Conditions(BOX, BOX_TASK, rig=rod)):
+        trial = run_push(script, conditions, 1, cells=[("front", 7.3)])[0]
+        assert (trial.stood, trial.hit, trial.fell, trial.time_s) == (False, False, False, None)
+        assert trial.impulse == 0.0
 
 
 def test_trials_depend_on_the_seed_and_their_number_alone():
@@ -155,7 +158,7 @@ def test_a_policy_does_not_see_how_many_robots_there_are():
     """The same observation gives the same bits, alone or among others."""
     rng = np.random.default_rng(0)
     sizes = [(64, 22), (48, 64), (5, 48)]
-    layers = tuple((rng.normal(size=one).astype(np.float32), np.zeros(one[0], dtype=np.float32)) for one in sizes)
+    layers = tuple((rng.normal(size=one).astype(np.float32) / 8, np.zeros(one[0], dtype=np.float32)) for one in sizes)
     controller = PolicyController(Policy(layers, {}), "p")
     seen = rng.normal(size=(33, 22)).astype(np.float32)
     np.testing.assert_array_equal(controller.act(seen)[:2], controller.act(seen[:2]))
