@@ -84,8 +84,7 @@ def _bars(axes: Any, rows: list[tuple[str, dict[str, Any], dict[str, float | Non
     for place, (_, ours, paper) in enumerate(rows):
         mean = ours["mean"]
         if mean is not None:
-            axes.bar(place, mean, _WIDTH, yerr=ours["std"], color=_COLOURS["simulated"], capsize=3,
-                     label="simulated" if place == 0 else None)  # fmt: skip
+            axes.bar(place, mean, _WIDTH, yerr=ours["std"], color=_COLOURS["simulated"], capsize=3)
         height = 0.0 if mean is None else mean + ours["std"]
         axes.annotate(ours["share"], (place, height), (0, 3), textcoords="offset points", ha="center", fontsize=8)
         for offset, (name, value) in enumerate(paper.items(), start=1):
@@ -94,6 +93,7 @@ def _bars(axes: Any, rows: list[tuple[str, dict[str, Any], dict[str, float | Non
                 axes.bar(place + offset * _WIDTH, value, _WIDTH, color=_COLOURS[key], alpha=0.7,
                          label=key if place == 0 else None)  # fmt: skip
     axes.set(title=f"{title} (numbers: trials that succeeded)", ylabel=label)
-    axes.set_xticks(range(len(rows)), [name for name, _, _ in rows])
+    middle = [place + 0.5 * _WIDTH * len(paper) for place, (_, _, paper) in enumerate(rows)]
+    axes.set_xticks(middle, [name for name, _, _ in rows])
     axes.grid(axis="y", alpha=0.3)
-    axes.set(ylim=(0.0, None), xlim=(-0.5, len(rows) - 0.1))
+    axes.set(ylim=(0.0, None), xlim=(-0.5, len(rows)))

@@ -23,6 +23,7 @@ def add_command(commands: Any) -> None:  # noqa: ANN401 - argparse keeps this ty
     parser.add_argument("--start", choices=_STARTS, default="prone", help="how it begins (default prone)")
     parser.add_argument("--energy", type=float, default=7.3, help="of a push [J] (default 7.3)")
     parser.add_argument("--seconds", type=float, default=LIMIT_S, help=f"longest film (default {LIMIT_S:g})")
+    parser.add_argument("--pictures", type=int, default=8, help="in the strip of a png (default 8)")
     parser.add_argument("--randomize", action="store_true", help="draw robot and floor, as in training")
     add_json_flag(parser)
     parser.set_defaults(run=_run)
@@ -32,6 +33,8 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     check_format(args.video)
     if not 0.1 <= args.seconds <= 60.0:
         raise UsageError("--seconds must be from 0.1 to 60")
+    if not 1 <= args.pictures <= 100:
+        raise UsageError("--pictures must be from 1 to 100")
     controller, asked = conditions(args, args.controller, args.model, randomize=args.randomize)
     if args.start in SIDES:
         film = film_standup(controller, asked, args.start, args.seconds)
@@ -40,7 +43,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         direction = next(one for one in DIRECTIONS if args.start == f"push-{one}")
         film = film_push(controller, asked, (direction, args.energy), args.seconds)
         good, bad = "stable again after", "was not stable again"
-    save_film(film.frames, args.video, film.frames_per_s)
+    save_film(film.frames, args.video, film.frames_per_s, args.pictures)
     said = bad if film.time_s is None else f"{good} {film.time_s:.2f} s"
     say(f"{args.video}: {len(film.frames)} pictures, {said}")
     return {"schema": "frasa.play/1", "video": args.video, "frames": len(film.frames), "time_s": film.time_s}

@@ -133,6 +133,7 @@ def test_play_writes_a_film(run, nominal, start, tmp_path, capsys):
         (["rank", "nothing", "missing", "--model", "MODEL"], 3, "no policy at missing"),
         (["play", "nothing", "--model", "MODEL", "--video", "film.avi"], 2, ".gif"),
         (["play", "nothing", "--model", "MODEL", "--video", "f.png", "--seconds", "0"], 2, "--seconds"),
+        (["play", "nothing", "--model", "MODEL", "--video", "f.png", "--pictures", "0"], 2, "--pictures"),
         (
             ["play", "nothing", "--model", "MODEL", "--video", "f.png", "--start", "push-back", "--energy", "50"],
             2,
