@@ -13,7 +13,7 @@ from frasa_rl.controllers import Controller, Nothing, PolicyController
 from frasa_rl.instruments import MEASURES
 from frasa_rl.observation import layout
 from frasa_rl.policy import Policy, PolicyError
-from frasa_rl.protocol import SIDES, Conditions, mean_and_std
+from frasa_rl.protocol import PAPER_PUSH, PAPER_STANDUP, SIDES, Conditions, mean_and_std
 from frasa_rl.protocol_push import PushTrial, run_push
 from frasa_rl.protocol_standup import StandUpTrial, run_standup
 from frasa_sysid.calibration import CalibrationError, UsageError, calibration_id, load_model
@@ -36,7 +36,7 @@ class Evaluation:
     push: list[PushTrial]
 
     def to_dict(self) -> dict[str, Any]:
-        """The tables as plain data, each row with the times of its trials."""
+        """The tables as plain data, each row with the times of its trials and of the paper."""
         sides = {side: [one for one in self.standup if one.side == side] for side in SIDES}
         cells = dict.fromkeys((one.direction, one.energy_j) for one in self.push)
         rows = [[one for one in self.push if (one.direction, one.energy_j) == cell] for cell in cells]
@@ -60,6 +60,7 @@ def _standup_row(row: Sequence[StandUpTrial]) -> dict[str, Any]:
         "time_std_s": std,
         "from_decision_mean_s": mean_and_std([one.from_decision_s for one in row])[0],
         "times_s": times,
+        "paper_s": PAPER_STANDUP[row[0].side],
     }
 
 
@@ -78,6 +79,7 @@ def _push_row(row: Sequence[PushTrial]) -> dict[str, Any]:
         "missed": sum(one.stood and not one.hit for one in row),
         "impulse_mean_ns": mean_and_std([one.impulse if one.hit else None for one in row])[0],
         "times_s": times,
+        "paper_s": PAPER_PUSH.get((row[0].direction, row[0].energy_j)),
     }
 
 

@@ -1,7 +1,7 @@
 """One trial of the protocol as pictures."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 
@@ -26,11 +26,13 @@ class Film:
         frames: at least one.
         frames_per_s: of them.
         time_s: to stand up, or of instability after the push [s]; None: it did not, in the time filmed.
+        stood: the robot stood before the push, which else does not come.
     """
 
     frames: list[Frame]
     frames_per_s: float
     time_s: float | None
+    stood: bool = True
 
 
 def film_standup(controller: Controller, conditions: Conditions, side: Side, seconds: float = LIMIT_S) -> Film:
@@ -63,7 +65,8 @@ def film_push(controller: Controller, conditions: Conditions, cell: Cell, second
         run.stand(controller)
         run.release()
         states = _record(run.trials, lambda: run.step(controller), lambda: run.judge()[0].time_s, seconds)
-        return _film(run.trials, states, run.judge()[0].time_s, camera)
+        film = _film(run.trials, states, run.judge()[0].time_s, camera)
+        return replace(film, stood=bool(run.stood[0]))
     finally:
         run.trials.batch.close()
 

@@ -44,6 +44,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         film = film_push(controller, asked, (direction, args.energy), args.seconds)
         good, bad = "stable again after", "was not stable again"
     save_film(film.frames, args.video, film.frames_per_s, args.pictures)
+    bad = bad if film.stood else "did not stand before the push"
     said = bad if film.time_s is None else f"{good} {film.time_s:.2f} s"
     say(f"{args.video}: {len(film.frames)} pictures, {said}")
     return {"schema": "frasa.play/1", "video": args.video, "frames": len(film.frames), "time_s": film.time_s}

@@ -55,6 +55,7 @@ def test_rows_count_what_happened():
         "time_std_s": 0.5,
         "from_decision_mean_s": 2.75,
         "times_s": [2.0, 3.0],
+        "paper_s": {"agent": (2.135, 0.042), "keyframes": (3.154, None)},
     }
     assert said["standup"]["supine"]["time_mean_s"] is None
     front, back = said["push"]
@@ -70,8 +71,9 @@ def test_rows_count_what_happened():
         "missed": 0,
         "impulse_mean_ns": pytest.approx(3.2),
         "times_s": [0.5, 2.5, None],
+        "paper_s": 0.54,
     }
-    assert (back["missed"], back["not_standing"]) == (1, 0)
+    assert (back["missed"], back["not_standing"], back["paper_s"]) == (1, 0, None)
     assert said["divergences"] == 1
     assert said["strain"]["peak_floor_force"] == pytest.approx((1 + 3 + 1 + 1 + 1) / 5 * 200.0)
     json.dumps(plain(said), allow_nan=False)
