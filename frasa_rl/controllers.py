@@ -49,5 +49,9 @@ class PolicyController:
         """Nothing to forget."""
 
     def act(self, observation: Observation) -> Array:
-        """The policy's actions, shape (count, n)."""
-        return self._policy.act(observation)
+        """The policy's actions, shape (count, n).
+
+        Robot by robot: a product of matrices rounds differently for other numbers of rows, and a
+        trial shall not depend on how many others there are.
+        """
+        return np.stack([self._policy.act(one) for one in observation])

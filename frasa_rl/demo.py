@@ -78,10 +78,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         f"Train for {args.minutes:g} minutes", "train", "frasa-rl", "train",
         "--model", str(MODEL), *budget, "--out", str(training),
     )  # fmt: skip
-    trials = str(args.trials)
-    demo.run("Evaluate", "evaluate", "frasa-rl", "evaluate", str(training), "--trials", trials)
+    trials = ("--trials", str(args.trials), "--push-trials", str(args.push_trials))
+    demo.run("Evaluate", "evaluate", "frasa-rl", "evaluate", str(training), *trials)
     demo.run("Evaluate doing nothing", "nothing", "frasa-rl", "evaluate", "nothing",
-             "--model", str(MODEL), "--trials", trials)  # fmt: skip
+             "--model", str(MODEL), *trials)  # fmt: skip
     film = args.out / "standup.webp"
     demo.run("Film a trial", "play", "frasa-rl", "play", str(training), "--video", str(film))
     page = write_page(args.out, demo.steps, demo.results, training, film, MODEL)
@@ -102,6 +102,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="frasa-demo", description="The whole chain, once, on the project's own logs.")
     parser.add_argument("--minutes", type=float, default=4.0, help="of training [%(default)s]")
     parser.add_argument("--trials", type=int, default=10, help="evaluation trials a side [%(default)s]")
+    parser.add_argument("--push-trials", type=int, default=3, help="trials of each push [%(default)s]")
     parser.add_argument("--out", type=Path, default=Path("demo"), help="folder for page and pictures [%(default)s]")
     parser.set_defaults(run=run)
     return run_command(parser)

@@ -10,6 +10,7 @@ import mujoco
 
 from frasa_rl.config import Task
 from frasa_rl.curve import still_return
+from frasa_rl.protocol_tables import push_table, standup_table
 from frasa_rl.render import Camera, save_film
 from frasa_sysid.calibration import FrasaError, load_model, say, write_atomic
 
@@ -47,7 +48,7 @@ def write_page(
         "<h2>The robot</h2>" + _picture_of(model, out),
         "<h2>Training</h2>" + _image(training / "learning_curve.png"),
         _training_text(results["train"]),
-        "<h2>Evaluation: six errors below 5 deg for 0.5 s</h2>" + _evaluation_table(results),
+        "<h2>Evaluation: six errors below 5 deg for 0.5 s, and pushes by a pendulum</h2>" + _evaluation_tables(results),
         "<h2>One trial, from prone</h2>" + _image(film),
     ]
     head = f"<!doctype html><meta charset=utf-8><title>frasa demo</title><style>{_STYLE}</style>"
@@ -131,17 +132,14 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.1f}"
 
 
-def _evaluation_table(results: dict[str, Any]) -> str:
-    rows = []
+def _evaluation_tables(results: dict[str, Any]) -> str:
+    """The protocol's own tables, of the trained controller and of doing nothing."""
+    parts = []
     for title, key in (("trained", "evaluate"), ("does nothing", "nothing")):
-        for side, one in results[key]["standup"].items():
-            time_text = "-" if one["time_mean_s"] is None else f"{one['time_mean_s']:.2f} +- {one['time_std_s']:.2f} s"
-            rows.append(
-                f"<tr><td>{title}</td><td>{side}</td><td class=n>{one['trials']}</td>"
-                f"<td class=n>{one['success_rate']:.0%}</td><td class=n>{time_text}</td></tr>"
-            )
-    head = "<tr><th>controller<th>start<th class=n>trials<th class=n>success<th class=n>time</tr>"
-    return f"<table>{head}{''.join(rows)}</table>"
+        said = results[key]
+        text = f"{standup_table(said['standup'])}\n\n{push_table(said['push'])}"
+        parts.append(f"<h3>{title}</h3><pre>{html.escape(text)}</pre>")
+    return "".join(parts)
 
 
 def _image(path: Path) -> str:

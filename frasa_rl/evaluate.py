@@ -1,98 +1,184 @@
-"""Does a policy stand the robot up? The paper's measure: all six errors below 5 deg for 0.5 s.
+"""The paper's tables for any controller on any model: which controller, all trials, what they come to."""
 
-Trials start lying prone or supine, at rest, each with a robot drawn from the same ranges
-as in training. The time of a success runs from the first action to the start of the 0.5 s.
-"""
-
-from dataclasses import replace
-from typing import Any, Literal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from frasa_rl.config import Task
+from frasa_rl.controllers import Controller, Nothing, PolicyController
+from frasa_rl.instruments import MEASURES
 from frasa_rl.observation import layout
 from frasa_rl.policy import Policy, PolicyError
-from frasa_rl.render import Frame
-from frasa_rl.standup_env import StandUp
-from frasa_sysid.calibration import CalibrationError
+from frasa_rl.protocol import PAPER_PUSH, PAPER_STANDUP, SIDES, Conditions, mean_and_std
+from frasa_rl.protocol_push import PushTrial, run_push
+from frasa_rl.protocol_standup import StandUpTrial, run_standup
+from frasa_sysid.calibration import CalibrationError, UsageError, calibration_id, load_model
 
-SCHEMA = "frasa.evaluation/1"
-Side = Literal["prone", "supine"]
-SIDES: tuple[Side, ...] = ("prone", "supine")
-TRIAL_S = 10.0  # the paper's keyframes need 5.06 s from supine: a training episode is too short to see them
-
-
-def evaluation_task(task: Task | None = None) -> Task:
-    """The task of training, by default the Sigmaban's, with more time."""
-    return replace(task or Task(), episode_s=TRIAL_S)
+SCHEMA = "frasa.evaluation/2"
+NOTHING, KEYFRAMES = "nothing", "keyframes"
+DEFAULT_MODEL = Path("robot_model/calibrated.xml")
 
 
-def check_policy(policy: Policy, env: StandUp, *, allow_other_model: bool = False) -> None:
-    """Raise when a policy does not belong to an environment.
+@dataclass(frozen=True)
+class Evaluation:
+    """All trials of a controller under some conditions.
+
+    Attributes:
+        standup: prone first.
+        push: front first, then by energy.
+    """
+
+    standup: list[StandUpTrial]
+    push: list[PushTrial]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The tables as plain data, each row with the times of its trials and of the paper."""
+        sides = {side: [one for one in self.standup if one.side == side] for side in SIDES}
+        cells = dict.fromkeys((one.direction, one.energy_j) for one in self.push)
+        rows = [[one for one in self.push if (one.direction, one.energy_j) == cell] for cell in cells]
+        all_trials: list[StandUpTrial | PushTrial] = [*self.standup, *(one for one in self.push if one.hit)]
+        strain = np.array([one.strain for one in all_trials]).mean(axis=0) if all_trials else None
+        return {
+            "standup": {side: _standup_row(row) for side, row in sides.items() if row},
+            "push": [_push_row(row) for row in rows],
+            "strain": {} if strain is None else {one.name: v for one, v in zip(MEASURES, strain, strict=True)},
+            "divergences": sum(one.diverged for one in self.standup) + sum(one.diverged for one in self.push),
+        }
+
+
+def _standup_row(row: Sequence[StandUpTrial]) -> dict[str, Any]:
+    times = [one.time_s for one in row]
+    mean, std = mean_and_std(times)
+    return {
+        "trials": len(row),
+        "success_rate": sum(one is not None for one in times) / len(row),
+        "time_mean_s": mean,
+        "time_std_s": std,
+        "from_decision_mean_s": mean_and_std([one.from_decision_s for one in row])[0],
+        "times_s": times,
+        "paper_s": PAPER_STANDUP[row[0].side],
+    }
+
+
+def _push_row(row: Sequence[PushTrial]) -> dict[str, Any]:
+    times = [one.time_s for one in row]
+    mean, std = mean_and_std(times)
+    return {
+        "direction": row[0].direction,
+        "energy_j": row[0].energy_j,
+        "trials": len(row),
+        "success_rate": sum(one is not None for one in times) / len(row),
+        "instability_mean_s": mean,
+        "instability_std_s": std,
+        "falls": sum(one.fell for one in row),
+        "not_standing": sum(not one.stood for one in row),
+        "missed": sum(one.stood and not one.hit for one in row),
+        "impulse_mean_ns": mean_and_std([one.impulse if one.hit else None for one in row])[0],
+        "times_s": times,
+        "paper_s": PAPER_PUSH.get((row[0].direction, row[0].energy_j)),
+    }
+
+
+def evaluate(
+    controller: Controller,
+    conditions: Conditions,
+    standup: int,
+    push: int,
+    tell: Callable[[float], None] = lambda _: None,
+) -> Evaluation:
+    """Run the protocol.
+
+    Args:
+        controller: what tells the robots what to do.
+        conditions: model, rate, randomization, seed.
+        standup: trials a side; 0 for none.
+        push: trials of each push; 0 for none.
+        tell: called with the share done.
+
+    Raises:
+        ModelError: the model is broken or lacks something.
+        CalibrationError: its ranges are missing or belong to another.
+        UsageError: the rate does not fit the task.
+    """
+    share = 0.25 if standup and push else float(bool(standup))
+    stood = run_standup(controller, conditions, standup, lambda x: tell(share * x)) if standup else []
+    pushed = run_push(controller, conditions, push, lambda x: tell(share + (1 - share) * x)) if push else []
+    return Evaluation(stood, pushed)
+
+
+def find_controller(word: str, model: Path | None, task: Task, *, allow_other_model: bool = False) -> tuple[
+    Controller, Path
+]:  # fmt: skip
+    """The controller a word names, and the model it is to run on.
+
+    Args:
+        word: `nothing`, `keyframes`, a file of keyframes (.yaml), or the folder of a run or policy.
+        model: None for the one the policy was trained on, or the calibrated one.
+        task: what it is to do.
+        allow_other_model: a policy may run on another calibration than its own.
+
+    Raises:
+        PolicyError: no policy there, or one of another task.
+        CalibrationError: a policy of another calibration, and that is not allowed.
+        UsageError: this version of frasa has no keyframes.
+    """
+    if word == NOTHING:
+        return Nothing(task), model or DEFAULT_MODEL
+    if not is_policy(word):
+        return _keyframes(None if word == KEYFRAMES else Path(word), task), model or DEFAULT_MODEL
+    policy = Policy.load(word)
+    chosen = model or Path(str(policy.run.get("model", DEFAULT_MODEL)))
+    check_policy(policy, task, calibration_id(load_model(chosen)), allow_other_model=allow_other_model)
+    return PolicyController(policy, word), chosen
+
+
+def is_policy(word: str) -> bool:
+    """Whether a word for a controller names a folder of a policy."""
+    return word not in (NOTHING, KEYFRAMES) and not word.endswith((".yaml", ".yml"))
+
+
+def _keyframes(path: Path | None, task: Task) -> Controller:
+    try:
+        module = import_module("frasa_rl.keyframe")
+    except ModuleNotFoundError:
+        raise UsageError(
+            "this version of frasa has no keyframe controller; name a policy folder or 'nothing'"
+        ) from None
+    controller: Controller = module.load_controller(path or module.KEYFRAMES, task)
+    return controller
+
+
+def check_policy(policy: Policy, task: Task, calibration: str | None, *, allow_other_model: bool = False) -> None:
+    """Raise when a policy does not belong to a task on a model.
+
+    Args:
+        policy: with what it was trained on in its run.yaml.
+        task: what it is to do.
+        calibration: id that the model carries; None for a nominal one.
+        allow_other_model: whether it may be another than in training.
 
     Raises:
         PolicyError: it was trained on another task, or sees or moves another number of things.
         CalibrationError: it was trained on another calibration, and that is not allowed.
     """
     inputs, outputs = policy.layers[0][0].shape[1], policy.layers[-1][0].shape[0]
-    n = len(env.task.joints)
-    wanted = (sum(part.size for part in layout(env.task)), n)
+    wanted = (sum(part.size for part in layout(task)), len(task.joints))
     if (inputs, outputs) != wanted:
         raise PolicyError(
             f"the policy sees {inputs} numbers and moves {outputs}; the task has {wanted[0]}, {wanted[1]}"
         )
-    task = policy.run.get("task", {})
-    joints = [one.get("name") for one in task.get("joints", [])]
-    if joints != [one.name for one in env.task.joints] or task.get("rate_limit") != env.task.rate_limit:
+    said = policy.run.get("task")
+    said = said if isinstance(said, dict) else {}
+    joints = [one.get("name") for one in said.get("joints", [])]
+    if joints != [one.name for one in task.joints] or said.get("rate_limit") != task.rate_limit:
         raise PolicyError("the policy was trained on another task (joints or rate limit differ)")
     trained_on = policy.run.get("calibration_id")
-    if trained_on != env.calibration_id and not allow_other_model:
+    if trained_on != calibration and not allow_other_model:
         raise CalibrationError(
             f"the policy was trained on calibration {trained_on or 'none (nominal)'}, "
-            f"the model carries {env.calibration_id or 'none (nominal)'}; pass --allow-other-model to mean it"
+            f"the model carries {calibration or 'none (nominal)'}; pass --allow-other-model to mean it"
         )
-
-
-def run_trial(policy: Policy | None, env: StandUp, side: Side, seed: int, frames: list[Frame] | None = None) -> float:
-    """Time to stand up [s], NaN for a failure.
-
-    Args:
-        policy: None holds every command where it is.
-        env: made with `evaluation_task()`.
-        side: how the robot lies.
-        seed: of the trial.
-        frames: where to add a picture of every control step; the trial then runs a second past success.
-    """
-    observation, _ = env.reset(seed=seed, options={"start": side})
-    task, still = env.task, np.zeros(len(env.task.joints), dtype=np.float32)
-    time_s, more = np.nan, round(1.0 / task.control_period_s)
-    for step in range(1, round(task.episode_s / task.control_period_s) + 1):
-        action = still if policy is None else policy.act(observation)
-        observation, _, over, _, info = env.step(action)
-        if frames is not None and (picture := env.render()) is not None:
-            frames.append(picture)
-        if info["is_success"] and np.isnan(time_s):
-            time_s = step * task.control_period_s - task.success_hold_s
-        more -= bool(np.isfinite(time_s))
-        if over or (np.isfinite(time_s) and (frames is None or more < 0)):
-            break
-    return float(time_s)
-
-
-def evaluate(policy: Policy | None, env: StandUp, trials: int, seed: int) -> dict[str, Any]:
-    """Success rate and time, prone and supine, over `trials` robots and falls each.
-
-    Returns:
-        For each side `trials`, `success_rate`, `time_mean_s`, `time_std_s` (None without a success).
-    """
-    result: dict[str, Any] = {}
-    for side in SIDES:
-        times = np.array([run_trial(policy, env, side, seed + trial) for trial in range(trials)])
-        good = times[np.isfinite(times)]
-        result[side] = {
-            "trials": trials,
-            "success_rate": good.size / trials,
-            "time_mean_s": float(good.mean()) if good.size else None,
-            "time_std_s": float(good.std()) if good.size else None,
-        }
-    return result

@@ -1,5 +1,6 @@
 """Pictures of a simulation, without a window, and animated files of them."""
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from frasa_sysid.calibration import FrasaError, UsageError
+from frasa_sysid.calibration import FrasaError, UsageError, write_atomic
 
 Frame = npt.NDArray[np.uint8]
 FORMATS = (".gif", ".webp", ".png")
@@ -24,12 +25,22 @@ class Camera:
         model: what is drawn.
         trunk: body it follows.
         width, height: of the picture [pixel].
+        distance: from the trunk [m].
+        azimuth: from which side [deg]; 90 is from the robot's right, as it begins.
 
     Raises:
         RenderError: no OpenGL without a window on this machine.
     """
 
-    def __init__(self, model: mujoco.MjModel, trunk: str = "trunk", width: int = 480, height: int = 360) -> None:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        trunk: str = "trunk",
+        width: int = 480,
+        height: int = 360,
+        distance: float = 1.1,
+        azimuth: float = 120.0,
+    ) -> None:
         # The model's off-screen buffer may be smaller than the picture.
         model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
         model.vis.global_.offheight = max(model.vis.global_.offheight, height)
@@ -45,7 +56,7 @@ class Camera:
         self._view = mujoco.MjvCamera()
         self._view.type = mujoco.mjtCamera.mjCAMERA_TRACKING
         self._view.trackbodyid = model.body(trunk).id
-        self._view.distance, self._view.azimuth, self._view.elevation = 1.1, 120.0, -12.0
+        self._view.distance, self._view.azimuth, self._view.elevation = distance, azimuth, -12.0
 
     def picture(self, data: mujoco.MjData) -> Frame:
         """The scene now, shape (height, width, 3)."""
@@ -69,14 +80,25 @@ def check_format(path: Path) -> None:
 
 
 def save_film(frames: Sequence[Frame], path: Path, frames_per_s: float, strip: int = 8) -> None:
-    """Write an animation (.gif, .webp), or a strip of `strip` evenly spaced pictures side by side (.png)."""
+    """Write an animation (.gif, .webp), or a strip of `strip` evenly spaced pictures side by side (.png).
+
+    The file is complete or as it was before.
+    """
     from PIL import Image  # an optional dependency, needed only here
 
     check_format(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    content = io.BytesIO()
     if path.suffix.lower() == ".png":
         chosen = np.linspace(0, len(frames) - 1, min(strip, len(frames))).round().astype(int)
-        Image.fromarray(np.concatenate([frames[i] for i in chosen], axis=1)).save(path)
-        return
-    images = [Image.fromarray(frame) for frame in frames]
-    images[0].save(path, save_all=True, append_images=images[1:], duration=round(1000.0 / frames_per_s), loop=0)
+        Image.fromarray(np.concatenate([frames[i] for i in chosen], axis=1)).save(content, "PNG")
+    else:
+        images = [Image.fromarray(frame) for frame in frames]
+        images[0].save(
+            content,
+            path.suffix[1:].upper(),
+            save_all=True,
+            append_images=images[1:],
+            duration=round(1000.0 / frames_per_s),
+            loop=0,
+        )
+    write_atomic(path, content.getvalue())

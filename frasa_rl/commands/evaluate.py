@@ -1,63 +1,73 @@
 """frasa-rl evaluate."""
 
 import argparse
+import json
 from pathlib import Path
 from typing import Any
 
-from frasa_rl.commands.task_option import add_task_option, chosen_task
-from frasa_rl.evaluate import SCHEMA, check_policy, evaluate, evaluation_task
-from frasa_rl.policy import Policy
-from frasa_rl.standup_env import StandUp
-from frasa_sysid.calibration import UsageError, add_json_flag, say
+from frasa_rl.commands.arguments import CONTROLLER_HELP, add_conditions, conditions, shown_share
+from frasa_rl.evaluate import SCHEMA, evaluate
+from frasa_rl.protocol_picture import check_picture, draw
+from frasa_rl.protocol_tables import tables
+from frasa_sysid.calibration import (
+    UsageError,
+    add_json_flag,
+    calibration_id,
+    load_model,
+    plain,
+    say,
+    write_atomic,
+)
 
-NOTHING = "nothing"
-DEFAULT_MODEL = Path("robot_model/calibrated.xml")
+TABLE_FILE, JSON_FILE, PICTURE_FILE = "evaluation.txt", "evaluation.json", "evaluation.png"
 
 
 def add_command(commands: Any) -> None:  # noqa: ANN401 - argparse keeps this type private
     """Add `evaluate` to the command line."""
-    parser = commands.add_parser("evaluate", help="success rate and time of a policy, from prone and supine")
-    add_policy(parser)
-    parser.add_argument("--trials", type=int, default=20, help="trials from each side (default 20)")
-    parser.add_argument("--seed", type=int, default=10_000, help="seed of the first trial (default 10000)")
+    parser = commands.add_parser("evaluate", help="the paper's tables: standing up, and pushes by a pendulum")
+    parser.add_argument("controller", help=CONTROLLER_HELP)
+    parser.add_argument("--protocol", choices=("standup", "push", "both"), default="both", help="(default both)")
+    add_conditions(parser)
+    parser.add_argument("--trials", type=int, default=20, help="stand-up trials from each side (default 20)")
+    parser.add_argument("--push-trials", type=int, default=10, help="trials of each push (default 10)")
+    parser.add_argument("--randomize", action="store_true", help="draw robot and floor of every trial, as in training")
+    parser.add_argument("--picture", type=Path, help="chart to write beside the paper's numbers (png, svg, pdf)")
+    parser.add_argument("--out", type=Path, help=f"folder for {TABLE_FILE}, {JSON_FILE} and {PICTURE_FILE}")
     add_json_flag(parser)
     parser.set_defaults(run=_run)
 
 
-def add_policy(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments that say which policy on which model."""
-    parser.add_argument("policy", help="a run or policy folder, or 'nothing' (every command held)")
-    parser.add_argument("--model", type=Path, help="model file (default: the one the policy was trained on)")
-    parser.add_argument("--allow-other-model", action="store_true", help="run it on another calibration than its own")
-    add_task_option(parser)
-
-
-def load_both(args: argparse.Namespace, render_mode: str | None = None) -> tuple[Policy | None, StandUp]:
-    """The policy and the environment the arguments name, checked against each other."""
-    policy = None if args.policy == NOTHING else Policy.load(args.policy)
-    trained_on = Path(str(policy.run.get("model", DEFAULT_MODEL))) if policy else DEFAULT_MODEL
-    env = StandUp(args.model or trained_on, evaluation_task(chosen_task(args, policy)), render_mode=render_mode)
-    if policy:
-        check_policy(policy, env, allow_other_model=args.allow_other_model)
-    return policy, env
-
-
 def _run(args: argparse.Namespace) -> dict[str, Any]:
-    if args.trials < 1 or args.seed < 0:
-        raise UsageError("--trials must be at least 1 and --seed not negative")
-    policy, env = load_both(args)
-    standup = evaluate(policy, env, args.trials, args.seed)
-    for side, one in standup.items():
-        time = f", {one['time_mean_s']:.2f} +- {one['time_std_s']:.2f} s" if one["success_rate"] else ""
-        say(f"{side:>7}: {100.0 * one['success_rate']:.0f} % of {one['trials']} stand up{time}")
-    say("pushes are not evaluated yet: 'push' is empty")
-    return {
+    if args.trials < 1 or args.push_trials < 1:
+        raise UsageError("--trials and --push-trials must be at least 1")
+    pictures = [one for one in (args.picture, args.out and args.out / PICTURE_FILE) if one]
+    for path in pictures:
+        check_picture(path)
+    controller, asked = conditions(args, args.controller, args.model, randomize=args.randomize)
+    identity = calibration_id(load_model(asked.model))
+    with shown_share("trials") as tell:
+        done = evaluate(
+            controller,
+            asked,
+            args.trials if args.protocol != "push" else 0,
+            args.push_trials if args.protocol != "standup" else 0,
+            tell,
+        )
+    result = {
         "schema": SCHEMA,
-        "standup": standup,
-        "push": [],
-        "controller": args.policy,
-        "model": args.model or (policy.run.get("model") if policy else None) or DEFAULT_MODEL,
-        "calibration_id": env.calibration_id,
+        **done.to_dict(),
+        "controller": args.controller,
+        "model": asked.model,
+        "calibration_id": identity,
+        "rate_hz": round(1.0 / asked.period_s, 6),
+        "randomized": asked.randomize,
         "seed": args.seed,
-        "divergences": env.divergences,
     }
+    text = tables(result)
+    say(text)
+    if args.out:
+        write_atomic(args.out / TABLE_FILE, text + "\n")
+        write_atomic(args.out / JSON_FILE, json.dumps(plain(result), indent=2, allow_nan=False) + "\n")
+    for path in pictures:
+        draw(result, path)
+    return result

@@ -4,34 +4,47 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from frasa_rl.commands.arguments import CONTROLLER_HELP, add_conditions, conditions
+from frasa_rl.film import film_push, film_standup
+from frasa_rl.protocol import LIMIT_S, SIDES
+from frasa_rl.push_rig import DIRECTIONS
+from frasa_rl.render import FORMATS, check_format, save_film
+from frasa_sysid.calibration import UsageError, add_json_flag, say
 
-from frasa_rl.commands.evaluate import add_policy, load_both
-from frasa_rl.evaluate import SIDES, run_trial
-from frasa_rl.render import FORMATS, Frame, check_format, save_film
-from frasa_sysid.calibration import add_json_flag, say
+_STARTS = (*SIDES, *(f"push-{one}" for one in DIRECTIONS))
 
 
 def add_command(commands: Any) -> None:  # noqa: ANN401 - argparse keeps this type private
     """Add `play` to the command line."""
-    parser = commands.add_parser("play", help="film one trial of a policy")
-    add_policy(parser)
+    parser = commands.add_parser("play", help="film one trial: standing up, or a push")
+    parser.add_argument("controller", help=CONTROLLER_HELP)
+    add_conditions(parser)
     parser.add_argument("--video", type=Path, required=True, help=f"file to write ({', '.join(FORMATS)})")
-    parser.add_argument("--start", choices=SIDES, default="prone", help="how the robot lies (default prone)")
-    parser.add_argument("--seed", type=int, default=10_000, help="seed of the trial (default 10000)")
+    parser.add_argument("--start", choices=_STARTS, default="prone", help="how it begins (default prone)")
+    parser.add_argument("--energy", type=float, default=7.3, help="of a push [J] (default 7.3)")
+    parser.add_argument("--seconds", type=float, default=LIMIT_S, help=f"longest film (default {LIMIT_S:g})")
+    parser.add_argument("--pictures", type=int, default=8, help="in the strip of a png (default 8)")
+    parser.add_argument("--randomize", action="store_true", help="draw robot and floor, as in training")
     add_json_flag(parser)
     parser.set_defaults(run=_run)
 
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
     check_format(args.video)
-    policy, env = load_both(args, render_mode="rgb_array")
-    frames: list[Frame] = []
-    try:
-        time_s = run_trial(policy, env, args.start, args.seed, frames)
-    finally:
-        env.close()
-    save_film(frames, args.video, 1.0 / env.task.control_period_s)
-    stood = np.isfinite(time_s)
-    say(f"{args.video}: {len(frames)} pictures, " + (f"stood up after {time_s:.2f} s" if stood else "did not stand up"))
-    return {"schema": "frasa.play/1", "video": args.video, "frames": len(frames), "time_s": time_s}
+    if not 0.1 <= args.seconds <= 60.0:
+        raise UsageError("--seconds must be from 0.1 to 60")
+    if not 1 <= args.pictures <= 100:
+        raise UsageError("--pictures must be from 1 to 100")
+    controller, asked = conditions(args, args.controller, args.model, randomize=args.randomize)
+    if args.start in SIDES:
+        film = film_standup(controller, asked, args.start, args.seconds)
+        good, bad = "stood up after", "did not stand up"
+    else:
+        direction = next(one for one in DIRECTIONS if args.start == f"push-{one}")
+        film = film_push(controller, asked, (direction, args.energy), args.seconds)
+        good, bad = "stable again after", "was not stable again"
+    save_film(film.frames, args.video, film.frames_per_s, args.pictures)
+    bad = bad if film.stood else "did not stand before the push"
+    said = bad if film.time_s is None else f"{good} {film.time_s:.2f} s"
+    say(f"{args.video}: {len(film.frames)} pictures, {said}")
+    return {"schema": "frasa.play/1", "video": args.video, "frames": len(film.frames), "time_s": film.time_s}

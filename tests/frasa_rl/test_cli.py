@@ -2,9 +2,12 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from frasa_rl.cli import main
+from frasa_rl.evaluate import Evaluation
+from frasa_rl.protocol_standup import StandUpTrial
 from frasa_rl.render import Camera, RenderError
 from frasa_rl.standup_env import StandUp
 
@@ -18,20 +21,54 @@ def run(robot_model_dir, tmp_path_factory):
     return folder
 
 
-def test_evaluate_prints_the_agreed_object(run, capsys):
-    """evaluate --json carries schema, standup by side, push, controller, model and calibration id."""
-    assert main(["evaluate", str(run), "--trials", "1", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert {"schema", "standup", "push", "controller", "model", "calibration_id"} <= set(said)
+def test_evaluate_prints_the_agreed_object(run, tmp_path, capsys):
+    """evaluate --json carries schema, both tables, controller, model and calibration id; --out keeps all of it."""
+    words = ["evaluate", str(run), "--trials", "1", "--push-trials", "1", "--json", "--out", str(tmp_path / "e")]
+    assert main(words) == 0
+    out, err = capsys.readouterr()
+    said = json.loads(out)
+    assert {"schema", "standup", "push", "controller", "model", "calibration_id", "rate_hz", "seed"} <= set(said)
     assert set(said["standup"]) == {"prone", "supine"}
-    assert set(said["standup"]["prone"]) == {"trials", "success_rate", "time_mean_s", "time_std_s"}
-    assert said["push"] == []
+    assert {"trials", "success_rate", "time_mean_s", "time_std_s"} <= set(said["standup"]["prone"])
+    assert [(one["direction"], one["energy_j"]) for one in said["push"]] == [
+        (direction, energy) for direction in ("front", "back") for energy in (4.0, 5.5, 7.3)
+    ]
+    wanted = {"trials", "success_rate", "instability_mean_s", "instability_std_s", "falls", "not_standing"}
+    assert wanted <= set(said["push"][0])
+    assert json.loads((tmp_path / "e" / "evaluation.json").read_text()) == said
+    assert (tmp_path / "e" / "evaluation.txt").read_text().strip() == err.strip()
+    assert (tmp_path / "e" / "evaluation.png").stat().st_size > 5000
 
 
-def test_nothing_is_a_controller(nominal, capsys):
-    """The word 'nothing' stands for held commands."""
-    assert main(["evaluate", "nothing", "--model", str(nominal), "--trials", "1", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["controller"] == "nothing"
+@pytest.mark.parametrize(("protocol", "empty"), [("standup", "push"), ("push", "standup")])
+def test_nothing_is_a_controller(nominal, protocol, empty, capsys):
+    """The word 'nothing' stands for held commands; one protocol can be left out; 100 Hz is a rate."""
+    words = ["evaluate", "nothing", "--model", str(nominal), "--trials", "1", "--push-trials", "1"]
+    assert main([*words, "--protocol", protocol, "--rate", "100", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["controller"], said["rate_hz"]) == ("nothing", 100.0)
+    assert not said[empty]
+    assert said[protocol]
+
+
+def test_rank_orders_its_candidates(run, nominal, monkeypatch, capsys):
+    """rank runs every candidate on the robot as it is and on random ones, and carries the numbers behind the places."""
+    ran = []
+
+    def evaluate(controller, conditions, standup, push, tell):
+        ran.append((controller.name, conditions.model, conditions.randomize, standup, push))
+        time_s = None if controller.name == "nothing" else 2.0
+        return Evaluation([StandUpTrial(side, time_s, time_s, False, np.ones(4)) for side in ("prone", "supine")], [])
+
+    monkeypatch.setattr("frasa_rl.commands.rank.evaluate", evaluate)
+    assert main(["rank", "nothing", str(run), "--model", str(nominal), "--trials", "3", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert ran == [(name, nominal, drawn, 3, 5) for name in ("nothing", str(run)) for drawn in (False, True)]
+    assert said["schema"] == "frasa.rank/1"
+    assert [one["name"] for one in said["candidates"]] == [str(run), "nothing"]
+    first = said["candidates"][0]
+    assert {"place", "mean_rank", "ranks", "numbers", "stands_up"} <= set(first)
+    assert {"speed", "robustness", "versatility", "peak_torque", "self_contact"} <= set(first["numbers"])
 
 
 def test_train_prints_its_result(nominal, tmp_path, capsys):
@@ -45,15 +82,34 @@ def test_train_prints_its_result(nominal, tmp_path, capsys):
     assert said["stopped"] == "steps"
 
 
-def test_play_writes_a_film(run, nominal, tmp_path):
-    """play films one trial."""
+@pytest.mark.parametrize("start", ["supine", "push-back"])
+def test_play_writes_a_film(run, nominal, start, tmp_path, capsys):
+    """play films one trial: a stand-up, or a push from its release on."""
     env = StandUp(nominal)
     try:
         Camera(env.model).close()
     except RenderError as error:
         pytest.skip(f"this machine cannot draw: {error}")
     path = tmp_path / "film.png"
-    assert main(["play", str(run), "--video", str(path)]) == 0
+    assert (
+        main(
+            [
+                "play",
+                "nothing",
+                "--model",
+                str(nominal),
+                "--start",
+                start,
+                "--seconds",
+                "1",
+                "--video",
+                str(path),
+                "--json",
+            ]
+        )
+        == 0
+    )
+    assert json.loads(capsys.readouterr().out)["frames"] == 21
     assert path.stat().st_size > 1000
 
 
@@ -67,7 +123,22 @@ def test_play_writes_a_film(run, nominal, tmp_path):
         (["evaluate", "missing"], 3, "no policy at missing"),
         (["evaluate", "nothing", "--model", "BOX"], 3, "lacks joint left_elbow"),
         (["evaluate", "nothing", "--model", "MODEL", "--trials", "0"], 2, "--trials"),
+        (["evaluate", "nothing", "--model", "MODEL", "--push-trials", "0"], 2, "--push-trials"),
+        (["evaluate", "nothing", "--model", "MODEL", "--rate", "30"], 2, "do not fit"),
+        (["evaluate", "nothing", "--model", "MODEL", "--rate", "nan"], 2, "--rate must be"),
+        (["evaluate", "nothing", "--model", "MODEL", "--picture", "chart.bmp"], 2, ".svg"),
+        (["evaluate", "nothing", "--model", "missing.xml"], 3, "no model at missing.xml"),
+        (["evaluate", "missing.yaml", "--model", "MODEL"], None, "keyframe"),
+        (["rank", "nothing", "nothing"], 2, "named twice"),
+        (["rank", "nothing", "missing", "--model", "MODEL"], 3, "no policy at missing"),
         (["play", "nothing", "--model", "MODEL", "--video", "film.avi"], 2, ".gif"),
+        (["play", "nothing", "--model", "MODEL", "--video", "f.png", "--seconds", "0"], 2, "--seconds"),
+        (["play", "nothing", "--model", "MODEL", "--video", "f.png", "--pictures", "0"], 2, "--pictures"),
+        (
+            ["play", "nothing", "--model", "MODEL", "--video", "f.png", "--start", "push-back", "--energy", "50"],
+            2,
+            "11.3 J",
+        ),
     ],
 )
 def test_errors_are_one_line_and_a_status(words, code, message, nominal, tmp_path, monkeypatch, capsys):
@@ -76,7 +147,7 @@ def test_errors_are_one_line_and_a_status(words, code, message, nominal, tmp_pat
     box = tmp_path / "box.xml"
     box.write_text("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
     words = [{"MODEL": str(nominal), "BOX": str(box)}.get(word, word) for word in words]
-    assert main(words) == code
+    assert main(words) in ((2, 3) if code is None else (code,))
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1
     assert message in lines[0]

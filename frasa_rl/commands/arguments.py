@@ -1,0 +1,45 @@
+"""Arguments that the commands about controllers share."""
+
+import argparse
+from pathlib import Path
+
+from frasa_rl.bars import shown_share
+from frasa_rl.commands.task_option import add_task_option, chosen_task
+from frasa_rl.controllers import Controller
+from frasa_rl.evaluate import find_controller, is_policy
+from frasa_rl.policy import Policy
+from frasa_rl.protocol import Conditions, evaluation_task
+from frasa_sysid.calibration import UsageError
+
+CONTROLLER_HELP = "a run or policy folder, 'keyframes', a file of keyframes (.yaml), or 'nothing' (every command held)"
+
+
+def add_conditions(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that say on which model and how."""
+    parser.add_argument("--model", type=Path, help="model file (default: the one the policy was trained on)")
+    parser.add_argument("--allow-other-model", action="store_true", help="run it on another calibration than its own")
+    add_task_option(parser)
+    parser.add_argument("--rate", type=float, metavar="HZ", help="decisions a second, 20 or 100 (default: as trained)")
+    parser.add_argument("--seed", type=int, default=10_000, help="of all trials (default 10000)")
+
+
+def conditions(
+    args: argparse.Namespace, word: str, model: Path | None, *, randomize: bool
+) -> tuple[Controller, Conditions]:
+    """The controller a word names, and what its trials run on.
+
+    Raises:
+        UsageError: a number that cannot be.
+    """
+    if args.seed < 0:
+        raise UsageError("--seed must not be negative")
+    if args.rate is not None and not 0.0 < args.rate <= 1000.0:
+        raise UsageError("--rate must be more than 0 and at most 1000")
+    task = chosen_task(args, Policy.load(word) if is_policy(word) else None)
+    controller, chosen = find_controller(word, model, task, allow_other_model=args.allow_other_model)
+    return controller, Conditions(
+        model=chosen, task=evaluation_task(task), rate_hz=args.rate, randomize=randomize, seed=args.seed
+    )
+
+
+__all__ = ["CONTROLLER_HELP", "add_conditions", "conditions", "shown_share"]
