@@ -57,7 +57,7 @@ def started(count=1, period=0.05, file=FILE):
 
 @pytest.mark.parametrize("pitch", [PRONE, SUPINE])
 def test_decisions_at_20_and_at_100_hz_give_the_same_commands(pitch):
-    """At every shared instant of a routine (1.13 s and 1.0 s long), also where a key lies between two decisions or the rate limit binds."""
+    """At every shared instant of one round (1.13 s and 1.0 s), also where a key lies between two decisions."""
     slow = Body(pitch).run(started(period=0.05), 1.1, 0.05)
     fast = Body(pitch).run(started(period=0.01), 1.1, 0.01)
     np.testing.assert_allclose(fast[4::5], slow, atol=1e-3)
