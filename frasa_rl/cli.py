@@ -1,4 +1,4 @@
-"""The command line of training: `frasa-rl train | evaluate | play | rank`."""
+"""The command line of training: `frasa-rl train | evaluate | play | rank | keyframe`."""
 
 import argparse
 from collections.abc import Sequence
@@ -10,13 +10,13 @@ from frasa_sysid.calibration import run_command, say
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status: 0 done, 1 failed, 2 usage, 3 bad model, 130 interrupted."""
     try:
-        from frasa_rl.commands import evaluate, play, rank, train
+        from frasa_rl.commands import evaluate, keyframe, play, rank, train
     except ModuleNotFoundError as error:
         say(f"frasa-rl: {error.name} is not installed: pip install 'frasa[train]'")
         return 1
     parser = argparse.ArgumentParser(prog="frasa-rl", description=__doc__)
     parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(required=True, metavar="command")
-    for one in (train, evaluate, play, rank):
+    for one in (train, evaluate, play, rank, keyframe):
         one.add_command(commands)
     return run_command(parser, arguments)

@@ -26,6 +26,12 @@ def add_command(commands: Any) -> None:  # noqa: ANN401 - argparse keeps this ty
     """Add `evaluate` to the command line."""
     parser = commands.add_parser("evaluate", help="the paper's tables: standing up, and pushes by a pendulum")
     parser.add_argument("controller", help=CONTROLLER_HELP)
+    add_protocol(parser)
+    parser.set_defaults(run=_run)
+
+
+def add_protocol(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that say what is measured, and where it is kept."""
     parser.add_argument("--protocol", choices=("standup", "push", "both"), default="both", help="(default both)")
     add_conditions(parser)
     parser.add_argument("--trials", type=int, default=20, help="stand-up trials from each side (default 20)")
@@ -34,16 +40,24 @@ def add_command(commands: Any) -> None:  # noqa: ANN401 - argparse keeps this ty
     parser.add_argument("--picture", type=Path, help="chart to write beside the paper's numbers (png, svg, pdf)")
     parser.add_argument("--out", type=Path, help=f"folder for {TABLE_FILE}, {JSON_FILE} and {PICTURE_FILE}")
     add_json_flag(parser)
-    parser.set_defaults(run=_run)
 
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
+    return run_protocol(args, args.controller)
+
+
+def run_protocol(args: argparse.Namespace, word: str) -> dict[str, Any]:
+    """Measure the controller that a word names, tell its tables and keep them.
+
+    Raises:
+        UsageError: a number of trials below one, or a picture in an unknown format.
+    """
     if args.trials < 1 or args.push_trials < 1:
         raise UsageError("--trials and --push-trials must be at least 1")
     pictures = [one for one in (args.picture, args.out and args.out / PICTURE_FILE) if one]
     for path in pictures:
         check_picture(path)
-    controller, asked = conditions(args, args.controller, args.model, randomize=args.randomize)
+    controller, asked = conditions(args, word, args.model, randomize=args.randomize)
     identity = calibration_id(load_model(asked.model))
     with shown_share("trials") as tell:
         done = evaluate(
@@ -56,7 +70,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     result = {
         "schema": SCHEMA,
         **done.to_dict(),
-        "controller": args.controller,
+        "controller": word,
         "model": asked.model,
         "calibration_id": identity,
         "rate_hz": round(1.0 / asked.period_s, 6),
