@@ -134,8 +134,6 @@ class Randomizer:
                 model.body_inertia[trunk] *= ratio
         if ranges.trunk_com is None:
             return
-        # Compiled with its centre of mass at the frame's origin, a body is taken there whatever `body_ipos` says.
-        model.body_sameframe[trunk] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
         for axis, name in enumerate(("trunk.com_x", "trunk.com_y", "trunk.com_z")):
             offset = _uniform(rng, ranges.trunk_com)
             if name not in measured:

@@ -159,7 +159,7 @@ def test_every_robot_is_another(model_path, task):
         mujoco.mj_resetData(model, data)
         mujoco.mj_kinematics(model, data)
         moved.append(data.xipos[trunk] - still.xipos[trunk])
-    # Its centre of mass is compiled at the frame's origin, where MuJoCo would keep it.
+    # Its centre of mass is compiled at the frame's origin, where MuJoCo keeps it until mj_setConst has looked again.
     assert np.abs(moved).max() > 0.0029
     assert np.abs(moved).max() <= 0.003 + 1e-12
 
