@@ -6,7 +6,7 @@ All do the same: robots from the same falls, the same random actions, 50 ms a st
 our notes on Rhoban/frasa at 78457df: one MuJoCo, a Python loop over physics steps with joint and sensor look-ups by
 name, three histories, commands written through fancy indices. The raw rollout repeats what the batch did, from its own
 states with its own commands: what no environment on `mujoco.rollout` can beat. Ratios in one run; the machine's other
-work changes absolute numbers, so each is the best of several interleaved rounds.
+work changes absolute numbers, so ratios are medians over interleaved rounds.
 """
 
 import sys
@@ -92,7 +92,7 @@ def time_published(path: Path, starts: list[Start], actions: np.ndarray) -> floa
     way = PublishedWay(path)
     spent, done = 0.0, 0
     nq = way.model.nq
-    for robot in range(0, COUNT, 8):
+    for robot in range(COUNT):
         way.begin(starts[robot].state[1 : 1 + nq], starts[robot].ctrl)
         began = time.perf_counter()
         for action in actions[:, robot]:
@@ -166,13 +166,14 @@ def main() -> None:
                 time_batch(model, task, starts, actions, threads)
             )
             rows.setdefault(f"raw rollout, {name}", []).append(time_raw(record, model.nsensordata, threads))
-    reference = min(rows["published way, one loop"])
-    print(f"{path}, {threads} threads, {steps} steps of 50 ms, best of {ROUNDS} rounds")
-    print(f"{'':44} steps/s   us/step   x published   of raw rollout")
+    reference = np.array(rows["published way, one loop"])
+    print(f"{path}, {threads} threads, {steps} steps of 50 ms, medians of {ROUNDS} interleaved rounds")
+    print(f"{'':40} steps/s   us/step   x published   of raw rollout")
     for name, times in rows.items():
         raw = rows.get("raw rollout, " + name.split(", ", 2)[-1])
-        share = f"{min(raw) / min(times):12.1%}" if raw and name.startswith("ours, batch") else ""
-        print(f"{name:44} {1 / min(times):7.0f} {min(times) * 1e6:9.0f} {reference / min(times):12.2f}   {share}")
+        share = f"{np.median(np.divide(raw, times)):13.1%}" if raw and name.startswith("ours, batch") else ""
+        middle = float(np.median(times))
+        print(f"{name:40} {1 / middle:7.0f} {middle * 1e6:9.0f} {np.median(reference / times):12.2f}   {share}")
 
 
 if __name__ == "__main__":

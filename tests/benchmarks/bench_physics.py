@@ -2,11 +2,11 @@
 
     python tests/benchmarks/bench_physics.py [MODEL] [FALLS]
 
-Settled poses: the same releases, held for 3 s; where a fall ends is chaotic, so the first row after the reference is the
+Settled poses: the same releases, held for 3 s; a fall can be chaotic, so the first row after the reference is the
 reference itself with commands moved by 0.1 mrad: what no setting can be better than. Stand-up: the keyframe routines
-from prone and supine. Standing: the neutral pose commanded, after 3 s. Energy: drift of a passive robot (no servos, no
-friction, no floor) tumbling for 1 s, as a share of its kinetic energy. Cost: one thread, best of several interleaved
-rounds, per 50 ms, on random actions from falls and standing still.
+from prone and supine. Standing: the neutral pose commanded, after 3 s. Energy: drift of a passive robot (no servos,
+no friction, no floor) tumbling for 1 s, as a share of its kinetic energy. Cost: one thread, best of several
+interleaved rounds, per 50 ms, on random actions from falls and standing still.
 """
 
 import sys
@@ -188,7 +188,8 @@ def main() -> None:
         rest = ~elsewhere if (~elsewhere).any() else np.ones_like(elsewhere)
         falling, standing = np.min(costs[name], axis=0) * 1e6
         print(
-            f"{name:36} {100 * elsewhere.mean():13.0f} {np.median(d_pitch[rest]):9.2f} {np.median(d_joints[rest]):9.2f} "
+            f"{name:36} {100 * elsewhere.mean():13.0f} {np.median(d_pitch[rest]):9.2f} "
+            f"{np.median(d_joints[rest]):9.2f} "
             f"{one.standing[0]:16.2f} {one.standing[1]:6.2f} {one.drift:7.4f} {100 * one.stood:5.0f} {one.earned:8.1f} "
             f"{falling:8.0f} {standing:8.0f}" + (f"  {one.diverged} diverged" if one.diverged else "")
         )

@@ -24,19 +24,21 @@ def words(nominal, shipped):
 
 def test_trials_are_printed_and_given_as_json(words, capsys):
     """Both sides, with success rate and times, for people and for machines."""
-    assert main([*words, "--trials", "1", "--seed", "10000", "--json"]) == 0
+    trials = ["--trials", "1", "--push-trials", "1", "--seed", "10000"]
+    assert main([*words, *trials, "--json"]) == 0
     said = capsys.readouterr()
     result = json.loads(said.out)
-    assert result["schema"] == "frasa.keyframe/1"
+    assert result["schema"] == "frasa.evaluation/2"
     assert {side: one["success_rate"] for side, one in result["standup"].items()} == {"prone": 1.0, "supine": 1.0}
-    assert result["randomize"] is False
-    assert "prone: 100 % of 1 stand up" in said.err
+    assert len(result["push"]) == 6
+    assert result["randomized"] is False
+    assert "prone" in said.err
 
 
 def test_tuning_keeps_the_best_in_a_file(words, tmp_path, capsys):
     """The file can be run, and says where it came from."""
     out = tmp_path / "tuned.yaml"
-    assert main([*words, "--tune", "--minutes", "0.001", "--out", str(out), "--json"]) == 0
+    assert main([*words, "--tune", "--seed", "0", "--minutes", "0.001", "--best", str(out), "--json"]) == 0
     load_keyframes(out)
     assert out.read_text().startswith("# Tuned by frasa-rl keyframe --tune from keyframes.yaml on nominal.xml")
     assert json.loads(capsys.readouterr().out)["schema"] == "frasa.keyframe-tuning/1"
@@ -50,7 +52,7 @@ def test_stopping_a_tuning_loses_nothing(words, tmp_path, monkeypatch, capsys):
 
     monkeypatch.setattr(keyframe_tuner, "tune", stopped)
     out = tmp_path / "tuned.yaml"
-    assert main([*words, "--tune", "--out", str(out)]) == 130
+    assert main([*words, "--tune", "--best", str(out)]) == 130
     assert str(out) in capsys.readouterr().err
     load_keyframes(out)
 
@@ -61,7 +63,7 @@ def test_stopping_a_tuning_loses_nothing(words, tmp_path, monkeypatch, capsys):
         (["--trials", "0"], 2),
         (["--seed", "-1"], 2),
         (["--minutes", "3"], 2),
-        (["--tune", "--trials", "3"], 2),
+        (["--best", "x.yaml"], 2),
         (["--tune", "--minutes", "-1"], 2),
         (["--keyframes", "none.yaml"], 3),
         (["--model", "none.xml"], 3),

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from frasa_rl.evaluate import evaluation_task
+from frasa_rl.controllers import Nothing
 from frasa_rl.keyframe import load_controller
-from frasa_rl.keyframe_trials import run_trial, run_trials
+from frasa_rl.keyframe_trials import run_trial
+from frasa_rl.protocol import SIDES, evaluation_task
 from frasa_rl.standup_env import StandUp
 
 
@@ -19,32 +20,18 @@ def env(nominal):
     return StandUp(nominal, evaluation_task(), randomize=False)
 
 
-class Still:
-    """Every command held where it is."""
-
-    name = "still"
-
-    def start(self, count, period_s):
-        self.count = count
-
-    def act(self, observation):
-        return np.zeros((self.count, 5), dtype=np.float32)
-
-
-def test_the_nominal_robot_stands_up_from_both_sides(shipped, env):
+@pytest.mark.parametrize("side", SIDES)
+def test_the_nominal_robot_stands_up_from_both_sides(shipped, env, side):
     """Every one of four falls a side, in less than 6 s, without an episode's early end."""
-    result = run_trials(shipped, env, trials=4, seed=10_000)
-    for side in ("prone", "supine"):
-        assert result[side]["success_rate"] == 1.0
-        assert result[side]["ended"] == 0
-        assert 1.0 < result[side]["time_max_s"] < 6.0
+    trials = [run_trial(shipped, env, side, 10_000 + one) for one in range(4)]
+    assert not any(one.ended for one in trials)
+    assert all(1.0 < one.time_s < 6.0 for one in trials)
 
 
-def test_holding_still_does_not_stand_up(env):
+@pytest.mark.parametrize("side", SIDES)
+def test_holding_still_does_not_stand_up(env, side):
     """The measure is honest: the same trials fail without a routine."""
-    result = run_trials(Still(), env, trials=1, seed=10_000)
-    assert [result[side]["success_rate"] for side in ("prone", "supine")] == [0.0, 0.0]
-    assert result["prone"]["time_mean_s"] is None
+    assert np.isnan(run_trial(Nothing(env.task), env, side, 10_000).time_s)
 
 
 def test_a_trial_repeats(shipped, env):

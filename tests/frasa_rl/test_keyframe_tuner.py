@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from frasa_rl.evaluate import evaluation_task
+from frasa_rl.protocol import evaluation_task
 from frasa_rl.keyframe import KeyframeController
 from frasa_rl.keyframe_file import load_keyframes
 from frasa_rl.keyframe_trials import Trial, run_trial
