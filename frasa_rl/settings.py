@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from frasa_rl.physics import NAMES
 from frasa_sysid.calibration import UsageError
 
 
@@ -24,6 +25,7 @@ class Settings:
         smooth: explore with noise that depends on the state (gSDE) instead of a new draw every step.
         smooth_log_std, smooth_steps: its first standard deviation, and the steps between two draws of it.
         renorm_warmup: batches after which batch renormalisation uses running statistics.
+        physics: how the simulation steps, a name of `frasa_rl.physics`; what the task says itself stays.
         pool: settled starts to choose from, each with a robot of its own.
         threads: of torch on a processor; more than one stalls where cores are shared.
         near_target_share: share of the starts near the standing pose, in place of the task's.
@@ -49,6 +51,7 @@ class Settings:
     smooth: bool = True
     smooth_log_std: float = -3.0
     smooth_steps: int = 4
+    physics: str = "fast"
     pool: int = 512
     threads: int = 1
     near_target_share: float = 0.25
@@ -60,6 +63,8 @@ class Settings:
         for name in ("envs", "batch", "buffer", "n_step", "policy_delay", "threads", "pool", "checkpoint_steps"):
             if getattr(self, name) < 1:
                 raise UsageError(f"{name} is {getattr(self, name)}: expected at least 1")
+        if self.physics not in NAMES:
+            raise UsageError(f"physics are '{self.physics}': expected {' or '.join(NAMES)}")
         if self.seed < 0:
             raise UsageError(f"the seed is {self.seed}: expected 0 or more")
 
@@ -91,6 +96,7 @@ PRESETS = {
         entropy=1.0,
         smooth=False,
         near_target_share=0.10,
+        physics="model",
         falling_share=0.0,
     ),
 }

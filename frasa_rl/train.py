@@ -29,6 +29,7 @@ from frasa_rl.checkpoint import load_checkpoint, save_checkpoint
 from frasa_rl.config import Task
 from frasa_rl.learner import build, plain_policy
 from frasa_rl.observation import layout
+from frasa_rl.physics import with_physics
 from frasa_rl.policy import FOLDER, RUN_FILE, read_run
 from frasa_rl.progress import Progress, stop_on_signals
 from frasa_rl.settings import Settings
@@ -61,7 +62,7 @@ class Plan:
         settings: of the learner.
         steps, minutes: the run ends at whichever comes first; None for no limit.
         device: `auto`, `cpu` or `cuda`.
-        task: what is trained; its shares of starts are those of the settings.
+        task: what is trained; its shares of starts and its physics are those of the settings.
     """
 
     model: Path
@@ -74,7 +75,7 @@ class Plan:
 
     def __post_init__(self) -> None:
         shares = {name: getattr(self.settings, name) for name in ("near_target_share", "falling_share")}
-        object.__setattr__(self, "task", replace(self.task, **shares))
+        object.__setattr__(self, "task", with_physics(replace(self.task, **shares), self.settings.physics))
 
 
 def train(plan: Plan, *, resume: bool = False) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from frasa_rl.bars import shown_share
 from frasa_rl.commands.task_option import add_task_option, chosen_task
 from frasa_rl.controllers import Controller
 from frasa_rl.evaluate import find_controller, is_policy
+from frasa_rl.physics import own_physics
 from frasa_rl.policy import Policy
 from frasa_rl.protocol import Conditions, evaluation_task
 from frasa_sysid.calibration import UsageError
@@ -36,6 +37,8 @@ def conditions(
     if args.rate is not None and not 0.0 < args.rate <= 1000.0:
         raise UsageError("--rate must be more than 0 and at most 1000")
     task = chosen_task(args, Policy.load(word) if is_policy(word) else None)
+    if args.task is None:  # whatever a policy was trained with, it is measured as the model file steps
+        task = own_physics(task)
     controller, chosen = find_controller(word, model, task, allow_other_model=args.allow_other_model)
     return controller, Conditions(
         model=chosen, task=evaluation_task(task), rate_hz=args.rate, randomize=randomize, seed=args.seed

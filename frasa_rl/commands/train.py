@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from frasa_rl.commands.task_option import add_task_option
 from frasa_rl.compat2024 import compat_task
 from frasa_rl.config import Task
+from frasa_rl.physics import NAMES
 from frasa_rl.settings import PRESETS, Settings
 from frasa_rl.task_file import load_task
 from frasa_sysid.calibration import UsageError, add_json_flag, say
@@ -32,6 +33,7 @@ def add_command(commands: Subparsers) -> None:
     parser.add_argument("--threads", type=int, help="threads of torch (default 1: more stall on shared cores)")
     parser.add_argument("--out", type=Path, help="run folder (default runs/standup-<date>-<time>)")
     parser.add_argument("--device", choices=("auto", "cpu", "cuda"), help="default auto: a GPU where there is one")
+    parser.add_argument("--physics", choices=NAMES, help="steps of the model file, or 5 ms (default: the preset's)")
     parser.add_argument("--preset", choices=sorted(PRESETS), help="quick (default): two cores; paper: FRASA's")
     parser.add_argument(
         "--resume", type=Path, metavar="RUN", help="continue a run folder; --minutes and --steps count from its start"
@@ -49,7 +51,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     if args.resume:
         given = [
             name
-            for name in ("model", "task", "compat", "seed", "envs", "threads", "preset", "out")
+            for name in ("model", "task", "compat", "seed", "envs", "threads", "physics", "preset", "out")
             if getattr(args, name) is not None
         ]
         if given:
@@ -73,7 +75,8 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _settings(args: argparse.Namespace) -> Settings:
-    given = {name: getattr(args, name) for name in ("seed", "envs", "threads") if getattr(args, name) is not None}
+    names = ("seed", "envs", "threads", "physics")
+    given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     return replace(PRESETS[args.preset or "quick"], **given)
 
 

@@ -11,7 +11,6 @@ work changes absolute numbers, so ratios are medians over interleaved rounds.
 
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -20,7 +19,7 @@ from mujoco import rollout
 
 from frasa_rl.batch_env import StandUpBatch
 from frasa_rl.config import Task
-from frasa_rl.physics import PHYSICS
+from frasa_rl.physics import with_physics
 from frasa_rl.simulation import Start, all_threads
 from frasa_rl.starts import StartMaker
 from frasa_rl.task_model import build_model
@@ -153,7 +152,7 @@ def main() -> None:
     steps, threads = int(sys.argv[2]) if len(sys.argv) > 2 else 20, all_threads()
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (steps, COUNT, 5))
     rows: dict[str, list[float]] = {}
-    tasks = {"as the file steps": Task(), "fast physics": replace(Task(), physics=PHYSICS["fast"])}
+    tasks = {"as the file steps": Task(), "fast physics": with_physics(Task(), "fast")}
     prepared = {name: (task, *starts_of(path, task)) for name, task in tasks.items()}
     first = prepared["as the file steps"][2]
     for _ in range(ROUNDS):
