@@ -1,6 +1,7 @@
 """Training on a robot whose servos have a friction law beyond Coulomb-viscous."""
 
 import copy
+from contextlib import contextmanager
 from dataclasses import replace
 
 import mujoco
@@ -133,22 +134,41 @@ def test_copies_of_the_model_are_drawn_apart(with_law):
     assert not np.array_equal(together[0], together[1])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("parallel", [False, True])
-def test_the_environments_of_a_run_feel_it_too(with_law, tmp_path, parallel):
-    """In this process and in processes of their own: the same episode as alone."""
+def test_the_environments_of_a_run_feel_it_too(with_law, tmp_path):
+    """A run's robots move as one alone does from the same start; without the law they move otherwise."""
     pytest.importorskip("sb3_contrib")
     from frasa_rl.settings import Settings
     from frasa_rl.train import Plan, make_envs
 
-    plan = Plan(model=with_law, out=tmp_path, settings=Settings(envs=2), steps=10, device="cpu", parallel=parallel)
+    settings = Settings(envs=2, pool=3, physics="model")
+    plan = Plan(model=with_law, out=tmp_path, settings=settings, steps=10, device="cpu")
     envs = make_envs(plan)
     try:
-        envs.seed(3)
         envs.reset()
+        run = envs.unwrapped
+        chosen = int(np.random.default_rng(np.random.SeedSequence(0, spawn_key=(1, 0))).integers(3))
+        alone = StandUp(with_law, plan.task)
+        alone.core.begin(0, run.pool.starts[chosen])
         rng = np.random.default_rng(3)
-        for _ in range(10):
-            last = envs.step(np.tile(rng.uniform(-1.0, 1.0, envs.action_space.shape), (2, 1)))[0]
+        actions = rng.uniform(-1.0, 1.0, (10, *envs.action_space.shape))
+        for action in actions:
+            last = envs.step(np.tile(action, (2, 1)))[0]
+            felt = alone.step(action)[0]
     finally:
         envs.close()
-    np.testing.assert_allclose(last[0], end_of(StandUp(with_law)), atol=1e-6)
+    np.testing.assert_array_equal(last[0], felt)
+    with lawless():
+        alone.core.begin(0, run.pool.starts[chosen])
+        for action in actions:
+            unfelt = alone.step(action)[0]
+    assert np.abs(unfelt - felt).max() > 1e-3
+
+
+@contextmanager
+def lawless():
+    """MuJoCo without the law, for a moment."""
+    servo_law.uninstall()
+    try:
+        yield
+    finally:
+        servo_law.install()

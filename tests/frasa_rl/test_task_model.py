@@ -10,7 +10,7 @@ from frasa_rl.config import Names, Physics, Task
 from frasa_rl.robot import ADDED_SELF_CONTACT, find_robot, sensor_names
 from frasa_rl.standup_env import StandUp
 from frasa_rl.task_model import build_model, substeps
-from frasa_sysid.calibration import ModelError, hold_history, load_model, stepping
+from frasa_sysid.calibration import InputError, ModelError, hold_history, load_model, stepping
 
 # What speaks of sensors, pictures, and where things stand in memory; all else is the robot.
 LESS = ("sensor_", "mat_", "tex_", "name_", "names", "geom_matid", "nsensor", "nuser_sensor", "nmat", "ntex", "nnames",
@@ -174,7 +174,7 @@ def test_steps_must_divide_the_period(nominal, timestep):
 @pytest.mark.parametrize("timestep", [0.0, -0.002, np.nan, np.inf])
 def test_a_time_step_that_is_none(nominal, timestep):
     """Zero, negative, not finite: refused as such, not taken for the file's."""
-    with pytest.raises(ModelError, match="time step"):
+    with pytest.raises(InputError, match="timestep"):
         build_model(nominal, replace(Task(), physics=Physics(timestep=timestep)))
 
 

@@ -147,7 +147,10 @@ def test_what_was_returned_stays_as_it_was(calibrated):
         steps = [one.step(np.ones((4, 5))) for one in (env, clean)]
         for a, b in zip(steps[0][:3], steps[1][:3], strict=True):
             np.testing.assert_array_equal(a, b)
-        arrays = [*steps[1][:3], *(info["terminal_observation"] for info in steps[1][3] if info)]
+        arrays = [
+            *steps[1][:3],
+            *(info["terminal_observation"] for info in steps[1][3] if "terminal_observation" in info),
+        ]
         kept += arrays
         copies += [one.copy() for one in arrays]
         for one in steps[0][:2]:  # nor does the environment care what becomes of them
