@@ -1,6 +1,6 @@
-"""The paper's tables for doing nothing and for the keyframes, on the nominal and the calibrated model, at 20 and 100 Hz.
+"""The paper's tables for doing nothing and for the keyframes: nominal and calibrated model, 20 and 100 Hz.
 
-    python tests/benchmarks/bench_protocol.py [CONTROLLER...]
+python tests/benchmarks/bench_protocol.py [CONTROLLER...]
 """
 
 import sys
