@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from frasa_rl.config import Joint, Names, Task
+from frasa_rl.config import Joint, Names, PushRig, Task
 from frasa_rl.controllers import Nothing, PolicyController
 from frasa_rl.policy import Policy
 from frasa_rl.protocol import Conditions
@@ -129,8 +129,8 @@ def test_a_fall_is_a_fall(tmp_path):
 
 def test_a_controller_that_does_not_stand_is_not_pushed():
     """Who leaves the pose before the push is counted apart: neither hit nor fallen, also where no bob could hit it."""
-    script, rod = Script((0.5, 1.0, 30.0)), replace(Conditions(BOX).rig, height=4.0)
-    for conditions in (Conditions(BOX, BOX_TASK), Conditions(BOX, BOX_TASK, rig=rod)):
+    script, rod = Script((0.5, 1.0, 30.0)), replace(BOX_TASK, rig=PushRig(height=4.0))
+    for conditions in (Conditions(BOX, BOX_TASK), Conditions(BOX, rod)):
         trial = run_push(script, conditions, 1, cells=[("front", 7.3)])[0]
         assert (trial.stood, trial.hit, trial.fell, trial.time_s) == (False, False, False, None)
         assert trial.impulse == 0.0
