@@ -14,7 +14,9 @@ from frasa_rl.config_checks import TaskError, above, name_of, one_of, within
 from frasa_rl.config_parts import Joint, Names, Physics, Reward
 from frasa_rl.config_rig import PushRig
 
-__all__ = ["Assumed", "AssumedRanges", "Joint", "Names", "Physics", "PushRig", "Reward", "ServoSpread", "Task", "TaskError"]
+__all__ = [
+    "Assumed", "AssumedRanges", "Joint", "Names", "Physics", "PushRig", "Reward", "ServoSpread", "Task", "TaskError",
+]  # fmt: skip
 
 PAPER = "FRASA, Gaspard et al., arXiv 2410.08655"
 

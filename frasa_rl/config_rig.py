@@ -48,7 +48,7 @@ class PushRig:
         if not self.energies_j or list(self.energies_j) != sorted(set(self.energies_j)):
             raise TaskError("energies_j: expected at least one number, each larger than the one before")
         for energy in self.energies_j:
-            above("a number of energies_j", energy, 0.0, self.most_j, "J, what this pendulum holds level with its hinge")
+            above("a number of energies_j", energy, 0.0, self.most_j, "J, what it holds level with its hinge")
 
     @property
     def most_j(self) -> float:

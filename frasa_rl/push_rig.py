@@ -90,7 +90,7 @@ class Rig:
 
     def __init__(self, model: mujoco.MjModel, robot: Robot, rig: PushRig) -> None:
         if abs(model.opt.gravity[2] + rig.gravity) > 1e-6 or np.abs(model.opt.gravity[:2]).max() > 1e-6:
-            raise ModelError(f"the model's gravity is {model.opt.gravity}, that of the task's rig {rig.gravity} downwards")
+            raise ModelError(f"the model's gravity is {model.opt.gravity}, that of the task's rig {rig.gravity} down")
         self._rig, self._robot = rig, robot
         self._stand, self._bob = model.body(_STAND).id, model.geom(_BOB).id
         self._motor, self._pendulum = model.equality(_MOTOR).id, model.body(_PENDULUM).id

@@ -15,9 +15,9 @@ from frasa_rl.commands.task_option import chosen_task
 from frasa_rl.evaluate import DEFAULT_MODEL
 from frasa_rl.keyframe import KEYFRAMES
 from frasa_rl.keyframe_file import load_keyframes, save_keyframes
+from frasa_rl.keyframe_trials import Falls
 from frasa_rl.protocol import evaluation_task
 from frasa_rl.routine import Keyframes, check_limits
-from frasa_rl.standup_env import StandUp
 from frasa_sysid.calibration import InterruptedRunError, UsageError, say
 
 TUNED = Path("keyframes.yaml")
@@ -50,9 +50,9 @@ def _tune(args: argparse.Namespace) -> dict[str, Any]:
     if args.seed < 0:
         raise UsageError("--seed must not be negative")
     model: Path = args.model or DEFAULT_MODEL
-    env = StandUp(model, evaluation_task(chosen_task(args)), randomize=args.randomize)
+    falls = Falls(model, evaluation_task(chosen_task(args)), randomize=args.randomize)
     keyframes = load_keyframes(args.keyframes)
-    check_limits(keyframes, np.degrees(env.robot.limits))
+    check_limits(keyframes, np.degrees(falls.robot.limits))
     tuning = Tuning()
     minutes = tuning.minutes if args.minutes is None else args.minutes
     tuning = replace(tuning, minutes=minutes, seed=args.seed)
@@ -75,7 +75,7 @@ def _tune(args: argparse.Namespace) -> dict[str, Any]:
                 text = f"{now.side}: cost {now.cost:.2f}, {100.0 * now.success_rate:.0f} % stand"
                 bar.update(shown, completed=now.share, description=text)
 
-            tune(keyframes, env, tuning, save, tell)
+            tune(keyframes, falls, tuning, save, tell)
     except KeyboardInterrupt:
         raise InterruptedRunError(f"stopped; the best so far is in {out}") from None
     for side, one in last.items():
