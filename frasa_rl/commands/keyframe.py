@@ -13,11 +13,11 @@ from rich.progress import Progress as Bar
 from frasa_rl.commands.evaluate import add_protocol, run_protocol
 from frasa_rl.commands.task_option import chosen_task
 from frasa_rl.evaluate import DEFAULT_MODEL
-from frasa_rl.keyframe import KEYFRAMES
+from frasa_rl.keyframe import KEYFRAMES, load_controller
 from frasa_rl.keyframe_file import load_keyframes, save_keyframes
 from frasa_rl.keyframe_trials import Falls
 from frasa_rl.protocol import evaluation_task
-from frasa_rl.routine import Keyframes, check_limits
+from frasa_rl.routine import Keyframes
 from frasa_sysid.calibration import InterruptedRunError, UsageError, say
 
 TUNED = Path("keyframes.yaml")
@@ -51,8 +51,8 @@ def _tune(args: argparse.Namespace) -> dict[str, Any]:
         raise UsageError("--seed must not be negative")
     model: Path = args.model or DEFAULT_MODEL
     falls = Falls(model, evaluation_task(chosen_task(args)), randomize=args.randomize)
+    load_controller(args.keyframes, falls.task, np.degrees(falls.robot.limits))  # says what does not suit the robot
     keyframes = load_keyframes(args.keyframes)
-    check_limits(keyframes, np.degrees(falls.robot.limits))
     tuning = Tuning()
     minutes = tuning.minutes if args.minutes is None else args.minutes
     tuning = replace(tuning, minutes=minutes, seed=args.seed)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from frasa_rl.controllers import Nothing
-from frasa_rl.keyframe import load_controller
+from frasa_rl.keyframe import KeyframeController
+from frasa_rl.keyframe_file import load_keyframes
 from frasa_rl.keyframe_trials import Falls
 from frasa_rl.protocol import SIDES, evaluation_task
 from frasa_rl.standup_env import StandUp
@@ -14,7 +15,7 @@ from frasa_rl.standup_env import StandUp
 
 @pytest.fixture
 def shipped(robot_model_dir):
-    return load_controller(robot_model_dir / "keyframes.yaml", evaluation_task())
+    return KeyframeController(load_keyframes(robot_model_dir / "keyframes.yaml"), evaluation_task())
 
 
 @pytest.fixture
