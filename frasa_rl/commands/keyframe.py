@@ -80,6 +80,7 @@ def _tune(args: argparse.Namespace) -> dict[str, Any]:
         raise InterruptedRunError(f"stopped; the best so far is in {out}") from None
     for side, one in last.items():
         say(f"{side:>7}: cost {one.cost:.2f}, {100.0 * one.success_rate:.0f} % of {tuning.checks} checks stand up")
-    say(f"{out}; try: frasa-rl keyframe --keyframes {out} --model {model}")
+    task = "" if args.task is None else f" --task {args.task}"
+    say(f"{out}; try: frasa-rl keyframe --keyframes {out} --model {model}{task}")
     sides = {side: {"cost": one.cost, "success_rate": one.success_rate} for side, one in last.items()}
     return {"schema": "frasa.keyframe-tuning/1", "keyframes": out, "model": model, "sides": sides}

@@ -180,8 +180,11 @@ def test_doing_nothing_after_a_small_push(nominal):
 
 def test_a_rate_that_does_not_fit_is_refused(nominal):
     """Decisions must fit into the task's control period."""
-    with pytest.raises(UsageError, match="do not fit"):
-        run_standup(Nothing(Task()), Conditions(nominal, rate_hz=30.0), 1)
+    for rate in (30.0, 10.0, 19.0):
+        with pytest.raises(
+            UsageError, match=f"^{rate:g} decisions a second do not fit .*: expected one of 20, 100, 500$"
+        ):
+            run_standup(Nothing(Task()), Conditions(nominal, rate_hz=rate), 1)
 
 
 def test_random_robots_differ(nominal):
