@@ -10,6 +10,7 @@ from frasa_rl.keyframe import KeyframeController
 from frasa_rl.keyframe_file import load_keyframes
 from frasa_rl.keyframe_trials import Falls
 from frasa_rl.protocol import SIDES, evaluation_task
+from frasa_rl.simulation import Simulation
 from frasa_rl.standup_env import StandUp
 
 
@@ -59,6 +60,29 @@ def test_a_trial_does_not_know_the_others(shipped, nominal):
     among = two.run([Nothing(two.task), shipped], two.make("supine", [4, 3, 5]), [1.0, 10.0])
     assert among[1][1] == alone
     assert [trial.lasted_s for trial in among[0]] == [1.0] * 3
+
+
+def test_who_rests_is_left_alone(nominal):
+    """It neither moves nor counts as diverged, and changes nothing for the others."""
+    falls = Falls(nominal, evaluation_task())
+    one, two = falls.make("prone", [1, 2])
+    alone, both = Simulation(one.model, 1), Simulation(one.model, 2)
+    alone.put(0, two)
+    both.put(0, one)
+    both.put(1, two)
+    both.resting[0] = True
+    commands = np.stack([np.tile(start.ctrl + 0.1, (5, 1)) for start in (one, two)])
+    alone.advance(commands[1:])
+    both.advance(commands)
+    np.testing.assert_array_equal(both.state[0], one.state)
+    np.testing.assert_array_equal(both.path[1], alone.path[0])
+    np.testing.assert_array_equal(both.sensors[1], alone.sensors[0])
+    assert not both.diverged.any()
+    both.put(0, one)
+    both.advance(commands)
+    assert both.state[0, 0] > one.state[0]
+    alone.close()
+    both.close()
 
 
 def test_a_trial_can_give_up_early(shipped, falls):

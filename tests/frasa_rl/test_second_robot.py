@@ -203,9 +203,10 @@ def test_the_readmes_commands_run(robot_model_dir, tmp_path, monkeypatch, capsys
         (robot_model_dir.parent / "README.md").read_text().partition("## Your own robot\n")[2].partition("\n## ")[0]
     )
     commands = [line.strip() for line in section.splitlines() if line.startswith("    frasa-rl ")]
-    assert len(commands) == 3
+    assert len(commands) == 4
     for command in commands:
-        words = command.partition("#")[0].replace("--minutes 30", "--steps 600").replace("--trials 20", "--trials 1")
+        words = command.partition("#")[0].replace("--minutes 30", "--steps 600")
+        words = words.replace("--trials 20", "--trials 1").replace("--protocol push", "--protocol push --push-trials 1")
         code = main(words.split()[1:])
         if code == 1 and "cannot draw without a window" in capsys.readouterr().err:
             pytest.skip("this machine cannot draw")
@@ -238,8 +239,8 @@ def test_the_protocol_runs_on_it(model_path, folder, task, capsys):
     from frasa_rl.cli import main
 
     words = ["evaluate", "nothing", "--model", str(model_path), "--task", str(folder / "standup.yaml")]
-    some = ["--trials", "1", "--push-trials", "2"]
-    for more in ([], ["--randomize"], ["--rate", "50"]):
+    some = ["--trials", "1", "--push-trials", "1"]
+    for more in ([], ["--randomize", "--rate", "50"]):
         assert main([*words, *some, *more, "--json"]) == 0
         result = json.loads(capsys.readouterr().out)
         assert set(result["standup"]) == {"prone", "supine"}
