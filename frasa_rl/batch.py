@@ -14,6 +14,23 @@ from frasa_rl.task_model import substeps
 from frasa_sysid.calibration import UsageError
 
 
+def _parts_and_steps(all_steps: int, task: Task, period_s: float) -> tuple[int, int]:
+    """Decisions in a control period of so many physics steps, and physics steps in a decision's period [s].
+
+    Raises:
+        UsageError: the period is not a whole part of the control period, in whole physics steps.
+    """
+    fitting = [parts for parts in range(1, all_steps + 1) if all_steps % parts == 0]
+    for parts in fitting:
+        if abs(parts * period_s - task.control_period_s) < 1e-9:
+            return parts, all_steps // parts
+    rates = ", ".join(f"{round(parts / task.control_period_s, 2):g}" for parts in fitting)
+    raise UsageError(
+        f"{round(1.0 / period_s, 2):g} decisions a second do not fit into the task's control period of "
+        f"{task.control_period_s:g} s and the model's time step: expected one of {rates}"
+    )
+
+
 class Batch:
     """Robots that are told rates and say what they see.
 
@@ -40,10 +57,7 @@ class Batch:
         self.robot = find_robot(model, task)
         self.sim = Simulation(model, count, threads)
         self.period_s = task.control_period_s if period_s is None else period_s
-        self._parts = round(task.control_period_s / self.period_s)
-        if self._parts < 1 or abs(self._parts * self.period_s - task.control_period_s) > 1e-9:
-            raise UsageError(f"decisions every {self.period_s} s do not fit into periods of {task.control_period_s} s")
-        steps = substeps(model, self.period_s)
+        self._parts, steps = _parts_and_steps(substeps(model, task.control_period_s), task, self.period_s)
         self._ramp = np.arange(1, steps + 1) / steps
         n = len(task.joints)
         self.commands = np.zeros((count, n))

@@ -12,8 +12,11 @@ from typing import Literal
 from frasa_rl.assumed import Assumed, AssumedRanges, ServoSpread
 from frasa_rl.config_checks import TaskError, above, name_of, one_of, within
 from frasa_rl.config_parts import Joint, Names, Physics, Reward
+from frasa_rl.config_rig import PushRig
 
-__all__ = ["Assumed", "AssumedRanges", "Joint", "Names", "Physics", "Reward", "ServoSpread", "Task", "TaskError"]
+__all__ = [
+    "Assumed", "AssumedRanges", "Joint", "Names", "Physics", "PushRig", "Reward", "ServoSpread", "Task", "TaskError",
+]  # fmt: skip
 
 PAPER = "FRASA, Gaspard et al., arXiv 2410.08655"
 
@@ -51,6 +54,7 @@ class Task:
         assumed: ranges that were not measured.
         names: what all these things are called in the model.
         physics: how MuJoCo steps.
+        rig: the pendulum that pushes the standing robot in an evaluation.
     """
 
     compat: Literal["", "frasa2024"] = ""
@@ -84,6 +88,7 @@ class Task:
     assumed: AssumedRanges = field(default_factory=AssumedRanges)
     names: Names = field(default_factory=Names)
     physics: Physics = field(default_factory=Physics)
+    rig: PushRig = field(default_factory=PushRig)
 
     def __post_init__(self) -> None:
         one_of("compat", self.compat, ("", "frasa2024"))

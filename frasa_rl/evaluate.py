@@ -16,6 +16,8 @@ from frasa_rl.policy import Policy, PolicyError
 from frasa_rl.protocol import PAPER_PUSH, PAPER_STANDUP, SIDES, Conditions, mean_and_std
 from frasa_rl.protocol_push import PushTrial, run_push
 from frasa_rl.protocol_standup import StandUpTrial, run_standup
+from frasa_rl.robot import Floats, find_robot
+from frasa_rl.task_model import build_model
 from frasa_sysid.calibration import CalibrationError, UsageError, calibration_id, load_model
 
 SCHEMA = "frasa.evaluation/2"
@@ -123,13 +125,17 @@ def find_controller(word: str, model: Path | None, task: Task, *, allow_other_mo
 
     Raises:
         PolicyError: no policy there, or one of another task.
+        KeyframeError: no keyframes there, or with joints or angles that the model does not have.
+        ModelError: the model that keyframes are to run on is missing or broken, or lacks something.
         CalibrationError: a policy of another calibration, and that is not allowed.
         UsageError: this version of frasa has no keyframes.
     """
     if word == NOTHING:
         return Nothing(task), model or DEFAULT_MODEL
     if not is_policy(word):
-        return _keyframes(None if word == KEYFRAMES else Path(word), task), model or DEFAULT_MODEL
+        chosen = model or DEFAULT_MODEL
+        limits_deg = np.degrees(find_robot(build_model(chosen, task), task).limits)
+        return _keyframes(None if word == KEYFRAMES else Path(word), task, limits_deg), chosen
     policy = Policy.load(word)
     chosen = model or Path(str(policy.run.get("model", DEFAULT_MODEL)))
     check_policy(policy, task, calibration_id(load_model(chosen)), allow_other_model=allow_other_model)
@@ -141,14 +147,14 @@ def is_policy(word: str) -> bool:
     return word not in (NOTHING, KEYFRAMES) and not word.endswith((".yaml", ".yml"))
 
 
-def _keyframes(path: Path | None, task: Task) -> Controller:
+def _keyframes(path: Path | None, task: Task, limits_deg: Floats) -> Controller:
     try:
         module = import_module("frasa_rl.keyframe")
     except ModuleNotFoundError:
         raise UsageError(
             "this version of frasa has no keyframe controller; name a policy folder or 'nothing'"
         ) from None
-    controller: Controller = module.load_controller(path or module.KEYFRAMES, task)
+    controller: Controller = module.load_controller(path or module.KEYFRAMES, task, limits_deg)
     return controller
 
 

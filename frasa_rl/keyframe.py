@@ -16,7 +16,7 @@ from frasa_rl.fall_detector import FallDetector, Posture
 from frasa_rl.keyframe_file import load_keyframes
 from frasa_rl.observation import layout
 from frasa_rl.robot import Floats
-from frasa_rl.routine import KeyframeError, Keyframes, Routine
+from frasa_rl.routine import KeyframeError, Keyframes, Routine, check_limits
 
 KEYFRAMES = Path("robot_model/keyframes.yaml")
 
@@ -129,13 +129,24 @@ class _Plan:
         return np.array([np.interp(self._clock_s, self._times, joint) for joint in self._poses.T])
 
 
-def load_controller(path: Path, task: Task) -> KeyframeController:
+def load_controller(path: Path, task: Task, limits_deg: Floats) -> KeyframeController:
     """The controller of a file.
 
+    Args:
+        path: of the keyframes.
+        task: names the joints.
+        limits_deg: lowest and highest command of each joint [deg], shape (n, 2).
+
     Raises:
-        KeyframeError: the file is missing, broken, or for other joints.
+        KeyframeError: the file is missing, broken, for other joints, or asks for angles outside the limits.
     """
-    return KeyframeController(load_keyframes(path), task)
+    keyframes = load_keyframes(path)
+    try:
+        controller = KeyframeController(keyframes, task)
+        check_limits(keyframes, limits_deg)
+    except KeyframeError as error:
+        raise KeyframeError(f"{path}: {error}") from None
+    return controller
 
 
 def _slices(task: Task) -> dict[str, slice]:

@@ -2,10 +2,11 @@
 
 routine -> numbers -> CMA-ES asks -> trials -> cost -> CMA-ES tells -> the mean is checked, the best saved
 
-Nothing here knows a robot: joints, standing pose and rate limit come from the task, limits from the model.
+The trials of a generation run side by side. Nothing here knows a robot: joints, standing pose and rate limit come from
+the task, limits from the model.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import monotonic
 
@@ -13,11 +14,11 @@ import numpy as np
 from cmaes import CMA
 
 from frasa_rl.keyframe import KeyframeController
-from frasa_rl.keyframe_trials import Trial, run_trial
+from frasa_rl.keyframe_trials import Falls, Trial
 from frasa_rl.protocol import SIDES, Side
 from frasa_rl.robot import Floats
 from frasa_rl.routine import LONGEST_S, Key, Keyframes, Routine
-from frasa_rl.standup_env import StandUp
+from frasa_rl.simulation import Start
 from frasa_sysid.calibration import UsageError
 
 _ANGLE = 60.0  # degrees that one unit of the search stands for
@@ -79,7 +80,7 @@ class Progress:
 
 def tune(
     keyframes: Keyframes,
-    env: StandUp,
+    falls: Falls,
     tuning: Tuning,
     save: Callable[[Keyframes], None],
     tell: Callable[[Progress], None] = lambda _: None,
@@ -90,7 +91,7 @@ def tune(
 
     Args:
         keyframes: where to start; its number of keys stays.
-        env: trials run in it; with `randomize` every trial is another robot.
+        falls: what trials run on; with `randomize` every fall is another robot's.
         tuning: how long and how widely.
         save: called with the best so far, whenever it improves.
         tell: called after every generation.
@@ -100,7 +101,7 @@ def tune(
     """
     begun, span = monotonic(), 60.0 * tuning.minutes / len(tuning.sides)
     for index, side in enumerate(tuning.sides):
-        search = _Search(keyframes, env, tuning, side)
+        search = _Search(keyframes, falls, tuning, side)
         while (spent := monotonic() - begun) < span * (index + 1) and search.going:
             if search.generation():
                 keyframes = search.best
@@ -112,12 +113,12 @@ def tune(
 class _Search:
     """CMA-ES over one routine."""
 
-    def __init__(self, keyframes: Keyframes, env: StandUp, tuning: Tuning, side: Side) -> None:
-        self.best, self._env, self._tuning, self._side = keyframes, env, tuning, side
-        self._limits = np.degrees(env.robot.limits)
+    def __init__(self, keyframes: Keyframes, falls: Falls, tuning: Tuning, side: Side) -> None:
+        self.best, self._falls, self._tuning, self._side = keyframes, falls, tuning, side
+        self._limits = np.degrees(falls.robot.limits)
         self._rng = np.random.default_rng([tuning.seed, SIDES.index(side)])
-        self._check_seeds = [int(seed) for seed in self._rng.integers(2**31, size=tuning.checks)]
-        self.cost, self.success_rate = self._try_on(keyframes, self._check_seeds)
+        self._checks = self._draw(tuning.checks)
+        self.cost, self.success_rate = self._try([keyframes], self._checks)[0]
         self._cma = CMA(
             mean=encode(getattr(keyframes, side)),
             sigma=tuning.sigma,
@@ -133,12 +134,13 @@ class _Search:
 
     def generation(self) -> bool:
         """Ask, try, tell, and check the new mean; whether it is the best so far."""
-        seeds = [int(seed) for seed in self._rng.integers(2**31, size=self._tuning.trials)]
+        starts = self._draw(self._tuning.trials)
         candidates = [self._cma.ask() for _ in range(self._tuning.population)]
-        costs = [self._try_on(self._with(one), seeds)[0] + self._outside(one) for one in candidates]
+        tried = self._try([self._with(one) for one in candidates], starts)
+        costs = [cost + self._outside(one) for (cost, _), one in zip(tried, candidates, strict=True)]
         self._cma.tell(list(zip(candidates, costs, strict=True)))
         mean = self._with(self._cma.mean)
-        cost, success_rate = self._try_on(mean, self._check_seeds)
+        cost, success_rate = self._try([mean], self._checks)[0]
         better = cost < self.cost
         if better:
             self.best, self.cost, self.success_rate = mean, cost, success_rate
@@ -155,15 +157,19 @@ class _Search:
         beyond = np.abs(angles - np.clip(angles, self._limits[:, 0], self._limits[:, 1])).sum()
         return float(beyond) / 100.0
 
-    def _try_on(self, keyframes: Keyframes, seeds: list[int]) -> tuple[float, float]:
-        """Mean cost and success rate over some falls."""
-        controller = KeyframeController(keyframes, self._env.task)
-        routine: Routine = getattr(keyframes, self._side)
-        longest = sum(key.duration_s for key in routine.keys) + routine.rise_s + _PATIENCE_S
-        trials = [run_trial(controller, self._env, self._side, seed, longest) for seed in seeds]
-        return float(np.mean([cost_of(one) for one in trials])), float(
-            np.mean([np.isfinite(one.time_s) for one in trials])
-        )
+    def _draw(self, count: int) -> list[Start]:
+        """Some falls on this side."""
+        return self._falls.make(self._side, [int(seed) for seed in self._rng.integers(2**31, size=count)])
+
+    def _try(self, candidates: Sequence[Keyframes], starts: Sequence[Start]) -> list[tuple[float, float]]:
+        """Mean cost and success rate of each candidate over some falls."""
+        routines: list[Routine] = [getattr(one, self._side) for one in candidates]
+        longest = [sum(key.duration_s for key in one.keys) + one.rise_s + _PATIENCE_S for one in routines]
+        trials = self._falls.run([KeyframeController(one, self._falls.task) for one in candidates], starts, longest)
+        return [
+            (float(np.mean([cost_of(one) for one in some])), float(np.mean([np.isfinite(one.time_s) for one in some])))
+            for some in trials
+        ]
 
 
 def cost_of(trial: Trial) -> float:

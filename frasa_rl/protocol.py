@@ -12,11 +12,9 @@ from typing import Literal
 import numpy as np
 
 from frasa_rl.config import Task
-from frasa_rl.push_rig import PushRig
 
 Side = Literal["prone", "supine"]
 SIDES: tuple[Side, ...] = ("prone", "supine")
-ENERGIES_J = (4.0, 5.5, 7.3)
 LIMIT_S = 10.0  # of a trial; the paper's keyframes need 5.06 s from supine
 FALL_DEG = 45.0  # the trunk tilted further than this from the standing pose has fallen
 
@@ -36,12 +34,11 @@ class Conditions:
 
     Attributes:
         model: a model file; a calibrated one brings its ranges along.
-        task: poses, rates, what counts as standing.
+        task: poses, rates, what counts as standing, the pendulum.
         rate_hz: decisions a second; None for one a control period.
         randomize: every trial draws its robot and floor; else all are as the model file says and only starts differ.
         seed: of all trials.
         threads: None for one a core.
-        rig: the pendulum.
     """
 
     model: Path
@@ -50,7 +47,6 @@ class Conditions:
     randomize: bool = False
     seed: int = 10_000
     threads: int | None = None
-    rig: PushRig = field(default_factory=PushRig)
 
     @property
     def period_s(self) -> float:

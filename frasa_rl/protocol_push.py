@@ -14,7 +14,7 @@ from frasa_rl.balance import balance, first_correction, goals, upright
 from frasa_rl.batch import Batch
 from frasa_rl.controllers import Controller
 from frasa_rl.instruments import add_instruments, over_time
-from frasa_rl.protocol import ENERGIES_J, FALL_DEG, LIMIT_S, Conditions
+from frasa_rl.protocol import FALL_DEG, LIMIT_S, Conditions
 from frasa_rl.push_rig import DIRECTIONS, Direction, Rig, add_rig
 from frasa_rl.robot import Floats
 from frasa_rl.starts import StartMaker
@@ -24,7 +24,6 @@ from frasa_sysid.calibration import load_calibration
 
 Tell = Callable[[float], None]
 Cell = tuple[Direction, float]
-CELLS: tuple[Cell, ...] = tuple((direction, energy) for direction in DIRECTIONS for energy in ENERGIES_J)
 WAIT_S = 2.0  # the controller stands before the push
 _SWING_S = 1.5  # the pendulum has hit by then, or never will; its quarter swing takes 0.6 s
 _REACT_S = 2.0  # a robot that deviates later than this after the hit does so for another reason
@@ -60,22 +59,24 @@ class PushTrial:
 
 def run_push(
     controller: Controller, conditions: Conditions, count: int, tell: Tell = lambda _: None,
-    cells: Sequence[Cell] = CELLS,
+    cells: Sequence[Cell] | None = None,
 ) -> list[PushTrial]:  # fmt: skip
     """Run `count` trials of each push, all at once.
 
     Args:
         controller: of all of them.
-        conditions: model, task, rate, pendulum.
+        conditions: model, task with its pendulum, rate.
         count: trials a push; each depends on its own number alone.
         tell: called with the share done.
-        cells: direction and energy of the pushes.
+        cells: direction and energy of the pushes; None for each of the rig's energies from front and back.
 
     Raises:
         ModelError: the model is broken, lacks something, or the pendulum passes the robot by.
         CalibrationError: its ranges are missing or belong to another.
         UsageError: the rate does not fit the task, or an energy the pendulum.
     """
+    if cells is None:
+        cells = [(direction, energy) for direction in DIRECTIONS for energy in conditions.task.rig.energies_j]
     run = PushRun(conditions, [cell for cell in cells for _ in range(count)], list(range(count)) * len(cells))
     try:
         run.stand(controller)
@@ -108,7 +109,7 @@ class PushRun:
     def __init__(
         self, conditions: Conditions, cells: Sequence[Cell], numbers: Sequence[int], textures: bool = False
     ) -> None:
-        task, rig = conditions.task, conditions.rig
+        task, rig = conditions.task, conditions.task.rig
         for _, energy in cells:
             rig.release_angle(energy)  # says early what the pendulum cannot do
 

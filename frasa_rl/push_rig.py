@@ -7,16 +7,16 @@ angle and keeps it there, switched off it is not there at all (no friction, no i
 commands and randomization know nothing of the rig. The switch and the place are fields of each trial's own model.
 """
 
-from dataclasses import dataclass
-from math import acos, cos, degrees, sin
+from math import cos, degrees, sin
 from typing import Literal
 
 import mujoco
 import numpy as np
 
+from frasa_rl.config import PushRig
 from frasa_rl.robot import Floats, Robot
 from frasa_rl.simulation import FULL
-from frasa_sysid.calibration import ModelError, UsageError
+from frasa_sysid.calibration import ModelError
 
 Direction = Literal["front", "back"]
 DIRECTIONS: tuple[Direction, ...] = ("front", "back")
@@ -26,45 +26,6 @@ TOUCH = "push_touch"  # contact sensor: force between bob and robot [N], 3 numbe
 _PARKED = (0.0, -30.0)  # x, y of the stand until it is placed [m]: nowhere near a robot
 _FAR = 1.5  # the bob is brought up to the robot from this far in front of its trunk [m]
 _CLOSE = 1e-5  # gap at which it touches [m]
-
-
-@dataclass(frozen=True)
-class PushRig:
-    """The pendulum.
-
-    Of the assumed numbers the contact's time constant hardly matters (5 to 20 ms: the Sigmaban's impulse changes by
-    5 %); a smaller ball or a rougher one gives a front push up to 20 % more impulse.
-
-    Attributes:
-        mass: of the bob [kg]; the rod has none (the paper).
-        length: from the hinge to the bob's centre [m] (the paper; taken to mean the centre).
-        height: of the hinge above the floor [m] (the paper).
-        radius: of the bob, a ball [m]; assumed: 0.9 kg would be heavier than water and lighter than stone.
-        contact_s: time constant of its contact, critically damped, so that it hardly rebounds [s]; assumed.
-        friction: of the bob on the robot; assumed.
-        retrieve_s: time constant of the motor that pulls it back [s]; assumed.
-        gravity: [m/s^2]; must be the model's.
-    """
-
-    mass: float = 0.9
-    length: float = 1.28
-    height: float = 1.74
-    radius: float = 0.05
-    contact_s: float = 0.01
-    friction: float = 0.5
-    retrieve_s: float = 0.2
-    gravity: float = 9.81
-
-    def release_angle(self, energy_j: float) -> float:
-        """From hanging to release [rad], so that the energy at the lowest point is m g L (1 - cos angle).
-
-        Raises:
-            UsageError: not positive, or more than the pendulum holds when released level with its hinge.
-        """
-        most = self.mass * self.gravity * self.length
-        if not 0.0 < energy_j <= most:
-            raise UsageError(f"a push of {energy_j:g} J: this pendulum can give more than 0 and at most {most:.1f} J")
-        return acos(1.0 - energy_j / most)
 
 
 def add_rig(spec: mujoco.MjSpec, rig: PushRig, trunk: str) -> None:
@@ -129,7 +90,7 @@ class Rig:
 
     def __init__(self, model: mujoco.MjModel, robot: Robot, rig: PushRig) -> None:
         if abs(model.opt.gravity[2] + rig.gravity) > 1e-6 or np.abs(model.opt.gravity[:2]).max() > 1e-6:
-            raise ModelError(f"the model's gravity is {model.opt.gravity}, the push rig's {rig.gravity} downwards")
+            raise ModelError(f"the model's gravity is {model.opt.gravity}, that of the task's rig {rig.gravity} down")
         self._rig, self._robot = rig, robot
         self._stand, self._bob = model.body(_STAND).id, model.geom(_BOB).id
         self._motor, self._pendulum = model.equality(_MOTOR).id, model.body(_PENDULUM).id
@@ -202,8 +163,8 @@ class Rig:
                 return way
             way += gap
         raise ModelError(
-            f"the pendulum, {self._rig.height - self._rig.length:.2f} m above the floor, passes the robot without "
-            "touching it: give the push rig another height or length"
+            f"the pendulum, whose bob hangs {self._rig.height - self._rig.length:.2f} m above the floor, passes the "
+            "robot without touching it: give the task file's rig another height or length"
         )
 
     def retrieve(self, model: mujoco.MjModel) -> None:

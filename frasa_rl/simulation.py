@@ -72,6 +72,7 @@ class Simulation:
         path: states after every physics step of the last `advance`, shape (count, steps, ns).
         sensor_path: sensor data of these steps, each taken as its step began, shape (count, steps, nsensordata).
         diverged: whose simulation blew up in the last `advance`, shape (count,).
+        resting: who is left out of every `advance` until it is `put` anew; may be written to, shape (count,).
 
     Args:
         model: what all robots are until they are `put`.
@@ -93,13 +94,12 @@ class Simulation:
         self.older = np.zeros_like(self.sensors)
         self.ctrl = np.zeros((count, model.nu))
         self.diverged = np.zeros(count, dtype=bool)
+        self.resting = np.zeros(count, dtype=bool)
         self.path = np.zeros((count, 0, self.state.shape[1]))
         self.sensor_path = np.zeros((count, 0, model.nsensordata))
         workers = min(threads or all_threads(), count)
         self._data = [mujoco.MjData(model) for _ in range(workers)]
         self._pool = rollout.Rollout(nthread=workers if workers > 1 else 0)
-        # A robot that lies takes half the time of one that stands: small chunks keep all threads busy.
-        self._chunk = max(1, count // (8 * workers))
 
     @property
     def qpos(self) -> Floats:
@@ -116,7 +116,7 @@ class Simulation:
         self.models[index] = start.model
         self.state[index], self.sensors[index], self.ctrl[index] = start.state, start.sensors, start.ctrl
         self.older[index] = start.sensors if start.older is None else start.older
-        self.diverged[index] = False
+        self.diverged[index] = self.resting[index] = False
 
     def advance(self, commands: Floats) -> None:
         """Step all robots.
@@ -129,17 +129,10 @@ class Simulation:
             self.path = np.zeros((self.count, steps, self.state.shape[1]))
             self.sensor_path = np.zeros((self.count, steps, self.sensors.shape[1]))
         time = self.state[:, 0].copy()
-        self._pool.rollout(
-            self.models,
-            self._data,
-            self.state,
-            np.ascontiguousarray(commands),
-            nstep=steps,
-            skip_checks=True,
-            state=self.path,
-            sensordata=self.sensor_path,
-            chunk_size=self._chunk,
-        )
+        if self.resting.any():
+            self._advance_some(np.flatnonzero(~self.resting), commands)
+        else:
+            self._roll(self.models, self.state, np.ascontiguousarray(commands), self.path, self.sensor_path)
         self.state[:] = self.path[:, -1]
         self.older[:] = self.sensor_path[:, -2] if steps > 1 else self.sensors
         self.sensors[:] = self.sensor_path[:, -1]
@@ -147,7 +140,32 @@ class Simulation:
         # MuJoCo stops a rollout at its first warning and repeats what it had: the clock tells.
         late = np.abs(self.state[:, 0] - time - steps * self.timestep) > 0.5 * self.timestep
         moving = self.state[:, 1 : 1 + self.nq + self.nv]
-        self.diverged = late | ~np.isfinite(moving).all(axis=1)
+        self.diverged = (late & ~self.resting) | ~np.isfinite(moving).all(axis=1)
+
+    def _advance_some(self, awake: npt.NDArray[np.intp], commands: Floats) -> None:
+        """Paths of those who do not rest; the others' repeat their present, shape (awake,)."""
+        self.path[:], self.sensor_path[:] = self.state[:, None], self.sensors[:, None]
+        if awake.size:
+            path, sensor_path = self.path[awake], self.sensor_path[awake]
+            self._roll([self.models[one] for one in awake], self.state[awake], commands[awake], path, sensor_path)
+            self.path[awake], self.sensor_path[awake] = path, sensor_path
+
+    def _roll(
+        self, models: list[mujoco.MjModel], state: Floats, commands: Floats, path: Floats, sensor_path: Floats
+    ) -> None:
+        """Step robots; path and sensor_path are written to."""
+        self._pool.rollout(
+            models,
+            self._data,
+            state,
+            commands,
+            nstep=commands.shape[1],
+            skip_checks=True,
+            state=path,
+            sensordata=sensor_path,
+            # A robot that lies takes half the time of one that stands: small chunks keep all threads busy.
+            chunk_size=max(1, len(models) // (8 * len(self._data))),
+        )
 
     def close(self) -> None:
         """End the threads."""

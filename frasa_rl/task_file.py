@@ -142,7 +142,7 @@ def _value(data: object, kind: Any, base: Any, place: _Place) -> Any:  # noqa: A
 def _many(data: object, kind: Any, place: _Place) -> tuple[Any, ...]:  # noqa: ANN401
     if not isinstance(data, list):
         raise place.wrong(data, "a list")
-    return tuple(_object(one, kind, None, place(f"[{index}]")) for index, one in enumerate(data))
+    return tuple(_value(one, kind, None, place(f"[{index}]")) for index, one in enumerate(data))
 
 
 def _held(data: object, place: _Place) -> _HELD:

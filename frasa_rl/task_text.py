@@ -67,8 +67,8 @@ def _leaf(value: Any) -> bool:  # noqa: ANN401
 
 
 def _yaml(name: str, value: Any) -> list[str]:  # noqa: ANN401
-    """A field on a line; of a list, a line for each item."""
-    if isinstance(value, list) and value:
+    """A field on a line; of a list of mappings, a line for each of them."""
+    if isinstance(value, list) and value and isinstance(value[0], dict):
         return [f"{name}:", *(f"  - {_flow(one)}" for one in value)]
     return [f"{name}: {_flow(value)}"]
 

@@ -13,11 +13,11 @@ from rich.progress import Progress as Bar
 from frasa_rl.commands.evaluate import add_protocol, run_protocol
 from frasa_rl.commands.task_option import chosen_task
 from frasa_rl.evaluate import DEFAULT_MODEL
-from frasa_rl.keyframe import KEYFRAMES
+from frasa_rl.keyframe import KEYFRAMES, load_controller
 from frasa_rl.keyframe_file import load_keyframes, save_keyframes
+from frasa_rl.keyframe_trials import Falls
 from frasa_rl.protocol import evaluation_task
-from frasa_rl.routine import Keyframes, check_limits
-from frasa_rl.standup_env import StandUp
+from frasa_rl.routine import Keyframes
 from frasa_sysid.calibration import InterruptedRunError, UsageError, say
 
 TUNED = Path("keyframes.yaml")
@@ -50,9 +50,9 @@ def _tune(args: argparse.Namespace) -> dict[str, Any]:
     if args.seed < 0:
         raise UsageError("--seed must not be negative")
     model: Path = args.model or DEFAULT_MODEL
-    env = StandUp(model, evaluation_task(chosen_task(args)), randomize=args.randomize)
+    falls = Falls(model, evaluation_task(chosen_task(args)), randomize=args.randomize)
+    load_controller(args.keyframes, falls.task, np.degrees(falls.robot.limits))  # says what does not suit the robot
     keyframes = load_keyframes(args.keyframes)
-    check_limits(keyframes, np.degrees(env.robot.limits))
     tuning = Tuning()
     minutes = tuning.minutes if args.minutes is None else args.minutes
     tuning = replace(tuning, minutes=minutes, seed=args.seed)
@@ -75,11 +75,12 @@ def _tune(args: argparse.Namespace) -> dict[str, Any]:
                 text = f"{now.side}: cost {now.cost:.2f}, {100.0 * now.success_rate:.0f} % stand"
                 bar.update(shown, completed=now.share, description=text)
 
-            tune(keyframes, env, tuning, save, tell)
+            tune(keyframes, falls, tuning, save, tell)
     except KeyboardInterrupt:
         raise InterruptedRunError(f"stopped; the best so far is in {out}") from None
     for side, one in last.items():
         say(f"{side:>7}: cost {one.cost:.2f}, {100.0 * one.success_rate:.0f} % of {tuning.checks} checks stand up")
-    say(f"{out}; try: frasa-rl keyframe --keyframes {out} --model {model}")
+    task = "" if args.task is None else f" --task {args.task}"
+    say(f"{out}; try: frasa-rl keyframe --keyframes {out} --model {model}{task}")
     sides = {side: {"cost": one.cost, "success_rate": one.success_rate} for side, one in last.items()}
     return {"schema": "frasa.keyframe-tuning/1", "keyframes": out, "model": model, "sides": sides}

@@ -21,7 +21,7 @@ def add_command(commands: Any) -> None:  # noqa: ANN401 - argparse keeps this ty
     add_conditions(parser)
     parser.add_argument("--video", type=Path, required=True, help=f"file to write ({', '.join(FORMATS)})")
     parser.add_argument("--start", choices=_STARTS, default="prone", help="how it begins (default prone)")
-    parser.add_argument("--energy", type=float, default=7.3, help="of a push [J] (default 7.3)")
+    parser.add_argument("--energy", type=float, help="of a push [J] (default: the largest of the rig's, 7.3)")
     parser.add_argument("--seconds", type=float, default=LIMIT_S, help=f"longest film (default {LIMIT_S:g})")
     parser.add_argument("--pictures", type=int, default=8, help="in the strip of a png (default 8)")
     parser.add_argument("--randomize", action="store_true", help="draw robot and floor, as in training")
@@ -41,7 +41,8 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         good, bad = "stood up after", "did not stand up"
     else:
         direction = next(one for one in DIRECTIONS if args.start == f"push-{one}")
-        film = film_push(controller, asked, (direction, args.energy), args.seconds)
+        energy = asked.task.rig.energies_j[-1] if args.energy is None else args.energy
+        film = film_push(controller, asked, (direction, energy), args.seconds)
         good, bad = "stable again after", "was not stable again"
     save_film(film.frames, args.video, film.frames_per_s, args.pictures)
     bad = bad if film.stood else "did not stand before the push"

@@ -163,7 +163,9 @@ def test_a_policy_runs_on_its_own_model(nominal, tmp_path):
 def test_keyframes_are_a_controller_where_there_are_any(monkeypatch, nominal):
     """The word is the standing file, a file is itself, and a frasa without keyframes says so."""
     asked = []
-    keyframe = SimpleNamespace(KEYFRAMES="own", load_controller=lambda path, task: asked.append(str(path)) or "k")
+    keyframe = SimpleNamespace(
+        KEYFRAMES="own", load_controller=lambda path, task, limits_deg: asked.append(str(path)) or "k"
+    )
     monkeypatch.setattr(module, "import_module", lambda name: keyframe)
     assert find_controller("keyframes", nominal, TASK) == ("k", nominal)
     find_controller("mine.yaml", nominal, TASK)

@@ -81,5 +81,15 @@ def test_angles_that_the_model_cannot_take_are_refused(words, shipped, tmp_path,
     data["supine"]["keys"][0]["angles_deg"][3] = -20.0
     path = tmp_path / "keyframes.yaml"
     path.write_text(yaml.safe_dump(data))
-    assert main([*words, "--keyframes", str(path)]) == 3
-    assert "supine key 1 knee -20" in capsys.readouterr().err
+    model = ["--model", words[2]]
+    for command in (
+        [*words, "--keyframes", str(path)],
+        [*words, "--keyframes", str(path), "--tune"],
+        ["evaluate", str(path), *model],
+        ["play", str(path), *model, "--video", str(tmp_path / "film.png")],
+        ["rank", str(path), *model],
+    ):
+        assert main(command) == 3
+        said = capsys.readouterr().err
+        assert f"{path}: outside the command limits [deg]: supine key 1 knee -20 (limits 0 to" in said
+        assert len(said.splitlines()) == 1

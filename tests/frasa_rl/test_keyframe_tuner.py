@@ -7,11 +7,10 @@ import pytest
 
 from frasa_rl.keyframe import KeyframeController
 from frasa_rl.keyframe_file import load_keyframes
-from frasa_rl.keyframe_trials import Trial, run_trial
+from frasa_rl.keyframe_trials import Falls, Trial
 from frasa_rl.keyframe_tuner import Tuning, cost_of, decode, encode, tune
 from frasa_rl.protocol import evaluation_task
 from frasa_rl.routine import Key, Routine
-from frasa_rl.standup_env import StandUp
 from frasa_sysid.calibration import UsageError
 
 LIMITS = np.array([[-90.0, 90.0], [0.0, 130.0]])
@@ -24,8 +23,8 @@ def shipped(robot_model_dir):
 
 
 @pytest.fixture
-def env(nominal):
-    return StandUp(nominal, evaluation_task(), randomize=False)
+def falls(nominal):
+    return Falls(nominal, evaluation_task())
 
 
 def test_a_routine_survives_the_search_numbers():
@@ -50,48 +49,52 @@ def test_no_failure_costs_less_than_a_success():
     assert len(set(costs)) == 4
 
 
-def test_a_spoilt_routine_gets_better(shipped, env):
+def test_a_spoilt_routine_gets_better(shipped, falls):
     """A routine made slow is quicker after three generations, and what was saved last is what is returned."""
     slow = Routine(
         tuple(replace(key, duration_s=2.0 * key.duration_s) for key in shipped.prone.keys), 2.0 * shipped.prone.rise_s
     )
     spoilt, saved, costs = replace(shipped, prone=slow), [], []
-    best = tune(spoilt, env, SHORT, saved.append, lambda now: costs.append(now.cost))
+    best = tune(spoilt, falls, SHORT, saved.append, lambda now: costs.append(now.cost))
     assert saved
     assert best == saved[-1]
     assert best.prone != slow
     assert best.supine == shipped.supine
     assert costs == sorted(costs, reverse=True)
-    before, after = (run_trial(KeyframeController(one, env.task), env, "prone", 99) for one in (spoilt, best))
-    assert after.time_s < before.time_s  # on a fall that the search has not seen
+    before, after = falls.run(
+        [KeyframeController(one, falls.task) for one in (spoilt, best)], falls.make("prone", [99]), [10.0, 10.0]
+    )
+    assert after[0].time_s < before[0].time_s  # on a fall that the search has not seen
 
 
-def test_the_same_seed_tunes_the_same(shipped, env):
-    """One generation twice, and once with another seed."""
+def test_the_same_seed_tunes_the_same(shipped, nominal):
+    """One generation on one thread and on two, and once with another seed."""
     first, again, other = [], [], []
-    for saved, seed in ((first, 3), (again, 3), (other, 4)):
+    for saved, seed, threads in ((first, 3, 1), (again, 3, 2), (other, 4, 2)):
+        falls = Falls(nominal, evaluation_task(), randomize=True, threads=threads)
         tuning = replace(SHORT, generations=1, population=4, checks=1, seed=seed)
         costs = []
-        tune(shipped, env, tuning, saved.append, lambda now, costs=costs: costs.append(now.cost))
+        tune(shipped, falls, tuning, saved.append, lambda now, costs=costs: costs.append(now.cost))
         saved.append(costs)
     assert first == again
     assert first != other
 
 
-def test_an_interrupted_search_has_saved_its_best(shipped, env, monkeypatch):
+def test_an_interrupted_search_has_saved_its_best(shipped, falls, monkeypatch):
     """Whatever was better before the interruption is there."""
-    trials = iter([*(Trial(5.0, 0.0, False, 5.0),) * 6, Trial(4.0, 0.0, False, 4.0)])
+    times = iter([5.0, 5.0, 4.0])  # the start, the first generation, its mean
 
-    def run_trial(*_):
+    def run(controllers, starts, longest_s):
         try:
-            return next(trials)
+            time_s = next(times)
         except StopIteration:
             raise KeyboardInterrupt from None
+        return [[Trial(time_s, 0.0, False, time_s)] * len(starts) for _ in controllers]
 
-    monkeypatch.setattr("frasa_rl.keyframe_tuner.run_trial", run_trial)
+    monkeypatch.setattr(falls, "run", run)
     saved = []
     with pytest.raises(KeyboardInterrupt):
-        tune(shipped, env, SHORT, saved.append)
+        tune(shipped, falls, SHORT, saved.append)
     assert len(saved) == 1
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from frasa_rl.config import Joint, Names, Task
+from frasa_rl.config import Joint, Names, PushRig, Task
 from frasa_rl.controllers import Nothing, PolicyController
 from frasa_rl.policy import Policy
 from frasa_rl.protocol import Conditions
@@ -129,8 +129,8 @@ def test_a_fall_is_a_fall(tmp_path):
 
 def test_a_controller_that_does_not_stand_is_not_pushed():
     """Who leaves the pose before the push is counted apart: neither hit nor fallen, also where no bob could hit it."""
-    script, rod = Script((0.5, 1.0, 30.0)), replace(Conditions(BOX).rig, height=4.0)
-    for conditions in (Conditions(BOX, BOX_TASK), Conditions(BOX, BOX_TASK, rig=rod)):
+    script, rod = Script((0.5, 1.0, 30.0)), replace(BOX_TASK, rig=PushRig(height=4.0))
+    for conditions in (Conditions(BOX, BOX_TASK), Conditions(BOX, rod)):
         trial = run_push(script, conditions, 1, cells=[("front", 7.3)])[0]
         assert (trial.stood, trial.hit, trial.fell, trial.time_s) == (False, False, False, None)
         assert trial.impulse == 0.0
@@ -180,8 +180,11 @@ def test_doing_nothing_after_a_small_push(nominal):
 
 def test_a_rate_that_does_not_fit_is_refused(nominal):
     """Decisions must fit into the task's control period."""
-    with pytest.raises(UsageError, match="do not fit"):
-        run_standup(Nothing(Task()), Conditions(nominal, rate_hz=30.0), 1)
+    for rate in (30.0, 10.0, 19.0):
+        with pytest.raises(
+            UsageError, match=f"^{rate:g} decisions a second do not fit .*: expected one of 20, 100, 500$"
+        ):
+            run_standup(Nothing(Task()), Conditions(nominal, rate_hz=rate), 1)
 
 
 def test_random_robots_differ(nominal):

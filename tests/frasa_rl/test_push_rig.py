@@ -7,11 +7,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from frasa_rl.config import Joint, Names, Task
+from frasa_rl.config import Joint, Names, PushRig, Task
 from frasa_rl.controllers import Nothing
 from frasa_rl.protocol import Conditions
 from frasa_rl.protocol_push import PushRun
-from frasa_rl.push_rig import PushRig, Rig, add_rig
+from frasa_rl.push_rig import Rig, add_rig
 from frasa_rl.robot import find_robot
 from frasa_rl.simulation import FULL, state_of
 from frasa_rl.task_model import build_model

@@ -12,8 +12,10 @@ from gymnasium.utils.env_checker import check_env
 
 from frasa_rl import supply
 from frasa_rl.config import Assumed, Task
+from frasa_rl.keyframe_file import load_keyframes, save_keyframes
 from frasa_rl.randomize import Randomizer
 from frasa_rl.robot import find_robot
+from frasa_rl.routine import Detector, Key, Keyframes, Routine, Standing
 from frasa_rl.settings import PRESETS
 from frasa_rl.standup_env import StandUp
 from frasa_rl.task_file import load_task
@@ -201,9 +203,10 @@ def test_the_readmes_commands_run(robot_model_dir, tmp_path, monkeypatch, capsys
         (robot_model_dir.parent / "README.md").read_text().partition("## Your own robot\n")[2].partition("\n## ")[0]
     )
     commands = [line.strip() for line in section.splitlines() if line.startswith("    frasa-rl ")]
-    assert len(commands) == 3
+    assert len(commands) == 4
     for command in commands:
-        words = command.partition("#")[0].replace("--minutes 30", "--steps 600").replace("--trials 20", "--trials 1")
+        words = command.partition("#")[0].replace("--minutes 30", "--steps 600")
+        words = words.replace("--trials 20", "--trials 1").replace("--protocol push", "--protocol push --push-trials 1")
         code = main(words.split()[1:])
         if code == 1 and "cannot draw without a window" in capsys.readouterr().err:
             pytest.skip("this machine cannot draw")
@@ -228,6 +231,69 @@ def test_the_task_is_given_once(model_path, folder, tmp_path, capsys, few_starts
     assert main(["evaluate", "nothing", *words, "--trials", "1"]) == 0
     assert main(["train", "--resume", run, "--task", str(folder / "standup.yaml")]) == 2
     assert "--task from the run itself" in capsys.readouterr().err
+
+
+def test_the_protocol_runs_on_it(model_path, folder, task, capsys):
+    """Its task's pendulum hits it where it stands, whoever it is; a rate that does not suit it is one line."""
+    pytest.importorskip("sb3_contrib")
+    from frasa_rl.cli import main
+
+    words = ["evaluate", "nothing", "--model", str(model_path), "--task", str(folder / "standup.yaml")]
+    some = ["--trials", "1", "--push-trials", "1"]
+    for more in ([], ["--randomize", "--rate", "50"]):
+        assert main([*words, *some, *more, "--json"]) == 0
+        result = json.loads(capsys.readouterr().out)
+        assert set(result["standup"]) == {"prone", "supine"}
+        pushes = result["push"]
+        assert [one["energy_j"] for one in pushes] == [*task.rig.energies_j] * 2
+        assert not any(one["missed"] for one in pushes)
+        if "--randomize" not in more:  # held commands keep the robot that they were found for
+            assert [one["not_standing"] for one in pushes] == [0] * 6
+            assert pushes[0]["success_rate"] == pushes[3]["success_rate"] == 1.0
+    assert main([*words, *some, "--rate", "20"]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert said[0].endswith("expected one of 25, 50, 125, 250")
+
+
+def test_a_pendulum_that_passes_it_by_is_named(model_path, folder, tmp_path, capsys):
+    """One line that says how high the bob hangs and what to change."""
+    pytest.importorskip("sb3_contrib")
+    from frasa_rl.cli import main
+
+    path = tmp_path / "standup.yaml"
+    path.write_text((folder / "standup.yaml").read_text().replace("height: 1.02", "height: 1.4"))
+    words = ["evaluate", "nothing", "--model", str(model_path), "--task", str(path)]
+    assert main([*words, "--protocol", "push", "--push-trials", "1"]) == 3
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert "bob hangs 0.70 m above the floor, passes the robot without touching it: give the task file's rig" in said[0]
+
+
+def test_keyframes_are_tuned_for_it(model_path, folder, task, tmp_path, capsys):
+    """Another number of joints, one on the midline, one mirrored: the tuner runs and its file is one for this robot."""
+    pytest.importorskip("sb3_contrib")
+    from frasa_rl.cli import main
+
+    start, best = tmp_path / "start.yaml", tmp_path / "best.yaml"
+    standing = tuple(one.target_deg for one in task.joints)
+    routine = Routine((Key(0.4, (0.0, -60.0, 90.0, -40.0, 0.0, -20.0)),), 0.5)
+    names = tuple(one.name for one in task.joints)
+    save_keyframes(Keyframes(names, routine, routine, Standing(standing, 0.5, 10.0), Detector()), start)
+    words = ["keyframe", "--model", str(model_path), "--task", str(folder / "standup.yaml")]
+    tuning = ["--tune", "--minutes", "0.02", "--best", str(best), "--json"]
+    assert main([*words, "--keyframes", str(start), *tuning]) == 0
+    said = capsys.readouterr()
+    assert "prone" in json.loads(said.out)["sides"]
+    assert f"--task {folder / 'standup.yaml'}" in said.err
+    assert load_keyframes(best).joints == names
+    assert main([*words, "--keyframes", str(best), "--protocol", "standup", "--trials", "1"]) == 0
+    robots = StandUp(model_path, task, randomize=False)
+    robots.reset(seed=0, options={"start": "target"})
+    for _ in range(3):  # what a key says of the left is mirrored on the right
+        robots.step(np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0]))
+    left, right = robots.core.batch.sim.ctrl[0, robots.robot.actuators[4]]
+    assert left == -right > 0.0
 
 
 def test_a_run_keeps_its_task(model_path, task, tmp_path):
