@@ -1,6 +1,7 @@
 """The command line of training: `frasa-rl train | evaluate | play | rank | keyframe`."""
 
 import argparse
+import sys
 from collections.abc import Sequence
 
 from frasa_rl import __version__
@@ -20,3 +21,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for one in (train, evaluate, play, rank, keyframe):
         one.add_command(commands)
     return run_command(parser, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

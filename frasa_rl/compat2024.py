@@ -41,6 +41,7 @@ from frasa_sysid.calibration import UsageError, number
 
 VELOCITY_WINDOW_S = 0.030
 TIME_RATIO = (0.98, 1.02)
+NEAR_SHARE = 0.10
 SETTLE_S, HEIGHT, SITE = 2.0, 0.4, "trunk"
 SQUAT = {"hip_pitch": -1.0, "knee": 2.0, "ankle_pitch": -1.0}  # one offset bends the whole leg of a start near the pose
 EXTRA_STEPS = 1  # an episode ends after its time has passed, not when it is reached
@@ -48,7 +49,8 @@ EXTRA_STEPS = 1  # an episode ends after its time has passed, not when it is rea
 
 def compat_task(task: Task) -> Task:
     """The task as the published environment has it: its physics, its steps, its errors."""
-    return replace(task, compat="frasa2024", physics=Physics(timestep=0.002, integrator="euler"), falling_share=0.0)
+    physics = Physics(timestep=0.002, integrator="euler")
+    return replace(task, compat="frasa2024", physics=physics, near_target_share=NEAR_SHARE, falling_share=0.0)
 
 
 @dataclass

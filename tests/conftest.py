@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import frasa_rl  # noqa: F401 (before MuJoCo, which draws without a display then)
 import frasa_sysid  # noqa: F401 (before numpy, whose threads it keeps to one)
 
 # isort: split

@@ -299,6 +299,7 @@ def test_keyframes_are_tuned_for_it(model_path, folder, task, tmp_path, capsys):
 def test_a_run_keeps_its_task(model_path, task, tmp_path):
     """run.yaml brings the task back, and training with it learns: updates are made."""
     pytest.importorskip("sb3_contrib")
+    from frasa_rl.physics import with_physics
     from frasa_rl.settings import Settings
     from frasa_rl.train import Plan, plan_of, train
 
@@ -307,6 +308,5 @@ def test_a_run_keeps_its_task(model_path, task, tmp_path):
     assert train(plan)["updates"] > 0
     again = plan_of(tmp_path / "run")
     assert again == plan
-    assert again.task == replace(
-        task, near_target_share=settings.near_target_share, falling_share=settings.falling_share
-    )
+    shares = {"near_target_share": settings.near_target_share, "falling_share": settings.falling_share}
+    assert again.task == with_physics(replace(task, **shares), settings.physics)
