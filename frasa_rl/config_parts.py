@@ -79,6 +79,7 @@ class Physics:
         iterations: most solver iterations a step.
         tolerance: of the solver.
         noslip_iterations: of the pass against creeping contacts.
+        islands: whether the solver takes bodies that do not touch apart; one robot alone is one island anyway.
         self_collision: whether parts of the robot collide with each other.
         friction_law: `model` has the servos' friction laws M2 to M6 where the model carries them; `coulomb_viscous`
             puts constant dry friction in their place (`friction_stand_in`).
@@ -90,6 +91,7 @@ class Physics:
     iterations: int | None = None
     tolerance: float | None = None
     noslip_iterations: int | None = None
+    islands: bool | None = None
     self_collision: bool | None = None
     friction_law: Literal["model", "coulomb_viscous"] = "model"
 

@@ -114,6 +114,9 @@ def _set_physics(model: mujoco.MjModel, physics: Physics, trunk: str) -> None:
     stepping.restep(model, physics.timestep, integrator)
     if physics.cone is not None:
         model.opt.cone = _CONES[physics.cone]
+    if physics.islands is not None:
+        off = int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
+        model.opt.disableflags = model.opt.disableflags & ~off | (0 if physics.islands else off)
     for name in ("iterations", "tolerance", "noslip_iterations"):
         value = getattr(physics, name)
         if value is not None:

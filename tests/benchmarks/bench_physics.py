@@ -40,6 +40,7 @@ SETTINGS = {
     "2.5 ms, noslip 0": Physics(timestep=0.0025, noslip_iterations=0),
     "5 ms": Physics(timestep=0.005),
     "5 ms, noslip 0": Physics(timestep=0.005, noslip_iterations=0),
+    "5 ms, noslip 0, no islands": Physics(timestep=0.005, noslip_iterations=0, islands=False),
     "5 ms, noslip 0, elliptic": Physics(timestep=0.005, noslip_iterations=0, cone="elliptic"),
     "5 ms, noslip 0, implicitfast": Physics(timestep=0.005, noslip_iterations=0, integrator="implicitfast"),
     "5 ms, noslip 0, no self-collision": Physics(timestep=0.005, noslip_iterations=0, self_collision=False),

@@ -2,12 +2,15 @@
 
 from dataclasses import replace
 
+import mujoco
+import numpy as np
 import pytest
 
 from frasa_rl.compat2024 import compat_task
 from frasa_rl.config import Physics, Task
 from frasa_rl.physics import own_physics, with_physics
 from frasa_rl.settings import PRESETS, Settings
+from frasa_rl.standup_env import StandUp
 from frasa_rl.task_model import build_model
 from frasa_sysid.calibration import UsageError
 
@@ -17,6 +20,20 @@ def test_fast_physics_reach_the_model(nominal):
     own, fast = (build_model(nominal, with_physics(Task(), name)).opt for name in ("model", "fast"))
     assert (own.timestep, own.noslip_iterations) == (0.002, 1)
     assert (fast.timestep, fast.noslip_iterations) == (0.005, 0)
+    island = int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
+    assert (own.disableflags & island, fast.disableflags & island) == (0, island)
+
+
+def test_islands_change_no_number(nominal):
+    """A robot is one island: searching for it or not, it moves alike."""
+    ends = []
+    for islands in (True, False):
+        env = StandUp(nominal, Task(physics=Physics(islands=islands)), randomize=False)
+        env.reset(seed=3, options={"start": "prone"})
+        for k in range(20):
+            env.step(np.full(5, 0.3 * (-1) ** (k // 5), dtype=np.float32))
+        ends.append(env.data.qpos.copy())
+    np.testing.assert_allclose(*ends, atol=1e-6)
 
 
 def test_what_a_task_says_itself_stays():
