@@ -33,7 +33,7 @@ def add_command(commands: Subparsers) -> None:
     parser.add_argument("--threads", type=int, help="threads of torch (default 1: more stall on shared cores)")
     parser.add_argument("--out", type=Path, help="run folder (default runs/standup-<date>-<time>)")
     parser.add_argument("--device", choices=("auto", "cpu", "cuda"), help="default auto: a GPU where there is one")
-    parser.add_argument("--physics", choices=NAMES, help="steps of the model file, or 5 ms (default: the preset's)")
+    parser.add_argument("--physics", choices=NAMES, help="steps of the model file, or 6.25 ms (default: the preset's)")
     parser.add_argument("--preset", choices=sorted(PRESETS), help="quick (default): two cores; paper: FRASA's")
     parser.add_argument(
         "--resume", type=Path, metavar="RUN", help="continue a run folder; --minutes and --steps count from its start"

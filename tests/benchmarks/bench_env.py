@@ -25,7 +25,7 @@ from frasa_rl.starts import StartMaker
 from frasa_rl.task_model import build_model
 from frasa_sysid.calibration import load_calibration, load_model
 
-COUNT, ROUNDS = 64, 5
+COUNT, ROUNDS = 64, 8
 JOINTS = ("elbow", "shoulder_pitch", "hip_pitch", "knee", "ankle_pitch")
 
 

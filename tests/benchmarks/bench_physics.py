@@ -45,6 +45,7 @@ SETTINGS = {
     "5 ms, noslip 0, implicitfast": Physics(timestep=0.005, noslip_iterations=0, integrator="implicitfast"),
     "5 ms, noslip 0, no self-collision": Physics(timestep=0.005, noslip_iterations=0, self_collision=False),
     "5 ms, noslip 0, 10 iterations": Physics(timestep=0.005, noslip_iterations=0, iterations=10, tolerance=1e-6),
+    "6.25 ms, noslip 0, no islands": Physics(timestep=0.00625, noslip_iterations=0, islands=False),
     "10 ms, noslip 0": Physics(timestep=0.010, noslip_iterations=0),
 }
 
