@@ -166,7 +166,7 @@ def test_numbers_are_checked_where_a_task_is_made():
         ("joints: [{name: tail, target_deg: 5}]", 3, "the model lacks joint left_tail, right_tail; it has"),
         ("held_deg: {left_knee: 1}", 3, "left_knee is in held_deg, and is one that the policy moves"),
         ("held_deg: {head_yaw: 175}", 3, "held_deg of head_yaw is 175: its ctrlrange allows"),
-        ("control_period_s: 0.0333", 3, "does not divide the control period"),
+        ("control_period_s: 0.0333\nphysics: {timestep: 0.002}", 3, "does not divide the control period"),
         ("rate_limit: 0", 3, "rate_limit is 0"),
     ],
 )
