@@ -4,6 +4,7 @@ import io
 import os
 import zipfile
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
@@ -44,7 +45,7 @@ class Pool:
         calibration: the ranges the maker draws from.
         count: of starts.
         seed: of all of them.
-        folder: where to keep it; None keeps nothing.
+        folder: where to keep it, if it can be written; None keeps nothing.
         tell: called with the share done while it is made.
 
     Raises:
@@ -79,7 +80,8 @@ class Pool:
             self.starts = [self._restore(i, kept) for i in range(count)]
             return
         self.starts = self._make(count, tell)
-        write_atomic(path, _packed(self.starts, key))
+        with suppress(OSError):  # a cache that cannot be written is none: the pool is there all the same
+            write_atomic(path, _packed(self.starts, key))
 
     def __len__(self) -> int:
         return len(self.starts)

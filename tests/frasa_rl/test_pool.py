@@ -210,3 +210,12 @@ def test_the_cache_folder_can_be_chosen(monkeypatch, tmp_path):
     assert cache_folder() == tmp_path / "users" / "frasa"
     monkeypatch.setenv("FRASA_CACHE", str(tmp_path / "mine"))
     assert cache_folder() == tmp_path / "mine"
+
+
+def test_a_cache_that_cannot_be_written_is_none(nominal, tmp_path):
+    """A file stands where the folder should be: the pool is made, and nothing is kept."""
+    blocked = tmp_path / "cache"
+    blocked.write_text("not a folder")
+    pool, _ = pool_of(nominal, blocked, count=1)
+    assert len(pool) == 1
+    assert blocked.read_text() == "not a folder"
