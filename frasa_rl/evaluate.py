@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +10,16 @@ import numpy as np
 from frasa_rl.config import Task
 from frasa_rl.controllers import Controller, Nothing, PolicyController
 from frasa_rl.instruments import MEASURES
+from frasa_rl.keyframe import KEYFRAMES as KEYFRAMES_FILE
+from frasa_rl.keyframe import load_controller
 from frasa_rl.observation import layout
 from frasa_rl.policy import Policy, PolicyError
 from frasa_rl.protocol import PAPER_PUSH, PAPER_STANDUP, SIDES, Conditions, mean_and_std
 from frasa_rl.protocol_push import PushTrial, run_push
 from frasa_rl.protocol_standup import StandUpTrial, run_standup
-from frasa_rl.robot import Floats, find_robot
+from frasa_rl.robot import find_robot
 from frasa_rl.task_model import build_model
-from frasa_sysid.calibration import CalibrationError, UsageError, calibration_id, load_model
+from frasa_sysid.calibration import CalibrationError, calibration_id, load_model
 
 SCHEMA = "frasa.evaluation/2"
 NOTHING, KEYFRAMES = "nothing", "keyframes"
@@ -128,14 +129,14 @@ def find_controller(word: str, model: Path | None, task: Task, *, allow_other_mo
         KeyframeError: no keyframes there, or with joints or angles that the model does not have.
         ModelError: the model that keyframes are to run on is missing or broken, or lacks something.
         CalibrationError: a policy of another calibration, and that is not allowed.
-        UsageError: this version of frasa has no keyframes.
     """
     if word == NOTHING:
         return Nothing(task), model or DEFAULT_MODEL
     if not is_policy(word):
         chosen = model or DEFAULT_MODEL
         limits_deg = np.degrees(find_robot(build_model(chosen, task), task).limits)
-        return _keyframes(None if word == KEYFRAMES else Path(word), task, limits_deg), chosen
+        path = KEYFRAMES_FILE if word == KEYFRAMES else Path(word)
+        return load_controller(path, task, limits_deg), chosen
     policy = Policy.load(word)
     chosen = model or Path(str(policy.run.get("model", DEFAULT_MODEL)))
     check_policy(policy, task, calibration_id(load_model(chosen)), allow_other_model=allow_other_model)
@@ -145,17 +146,6 @@ def find_controller(word: str, model: Path | None, task: Task, *, allow_other_mo
 def is_policy(word: str) -> bool:
     """Whether a word for a controller names a folder of a policy."""
     return word not in (NOTHING, KEYFRAMES) and not word.endswith((".yaml", ".yml"))
-
-
-def _keyframes(path: Path | None, task: Task, limits_deg: Floats) -> Controller:
-    try:
-        module = import_module("frasa_rl.keyframe")
-    except ModuleNotFoundError:
-        raise UsageError(
-            "this version of frasa has no keyframe controller; name a policy folder or 'nothing'"
-        ) from None
-    controller: Controller = module.load_controller(path or module.KEYFRAMES, task, limits_deg)
-    return controller
 
 
 def check_policy(policy: Policy, task: Task, calibration: str | None, *, allow_other_model: bool = False) -> None:

@@ -12,11 +12,10 @@ import mujoco
 import numpy as np
 import yaml
 
-from frasa_rl.compat2024 import CompatStarts, Draw
 from frasa_rl.config import Task
 from frasa_rl.falls import Kind
 from frasa_rl.simulation import FULL, Start, fresh
-from frasa_rl.starts import StartMaker
+from frasa_rl.starts import StartMaker, compat_starts
 from frasa_sysid.calibration import Calibration, UsageError, plain, sha256_of, write_atomic
 
 VERSION = 1  # of what a pool holds; another one is made anew
@@ -66,9 +65,7 @@ class Pool:
             raise UsageError(f"a pool of {count} starts: expected at least 1")
         self._maker, self._seed = maker, seed
         if maker.task.compat:
-            draw = Draw(maker.model, maker.robot, maker.task) if maker.randomizer else None
-            compat = CompatStarts(maker.model, maker.robot, maker.task, draw)
-            self.starts = [compat.make([self._rng(i)])[0] for i in range(count)]
+            self.starts = compat_starts(maker).make([self._rng(i) for i in range(count)])
             return
         if folder is None:
             self.starts = self._make(count, tell)

@@ -19,7 +19,7 @@ LIMIT_S = 10.0  # of a trial; the paper's keyframes need 5.06 s from supine
 FALL_DEG = 45.0  # the trunk tilted further than this from the standing pose has fallen
 
 # Mean and deviation [s]; the keyframes are those of the team's RoboCup 2023 robot.
-PAPER_STANDUP: dict[Side, dict[str, tuple[float, float | None]]] = {
+PAPER_STANDUP: dict[str, dict[str, tuple[float, float | None]]] = {
     "prone": {"agent": (2.135, 0.042), "keyframes": (3.154, None)},
     "supine": {"agent": (2.678, 0.178), "keyframes": (5.06, None)},
 }

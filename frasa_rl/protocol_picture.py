@@ -57,7 +57,7 @@ def draw(result: dict[str, Any], path: Path) -> None:
 
 def _standup_rows(rows: dict[str, Any]) -> list[tuple[str, dict[str, Any], dict[str, float | None]]]:
     return [
-        (side, _ours(one, "time"), {name: value[0] for name, value in PAPER_STANDUP[side].items()})  # type: ignore[index]
+        (side, _ours(one, "time"), {name: value[0] for name, value in PAPER_STANDUP[side].items()})
         for side, one in rows.items()
     ]
 

@@ -33,7 +33,7 @@ def standup_table(rows: dict[str, Any]) -> str:
     head = ["stand-up", "trials", "stood up", "time [s]", "paper: agent", "paper: keyframes"]
     lines = []
     for side, one in rows.items():
-        paper = PAPER_STANDUP[side]  # type: ignore[index]
+        paper = PAPER_STANDUP[side]
         lines.append([
             side, str(one["trials"]), f"{one['success_rate']:.0%}", spread(one["time_mean_s"], one["time_std_s"], 3),
             spread(*paper["agent"], 3), spread(*paper["keyframes"], 3),

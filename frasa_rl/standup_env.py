@@ -13,7 +13,6 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from frasa_rl.batch_env import TERMS, Outcome, StandUpBatch
-from frasa_rl.compat2024 import CompatStarts, Draw
 from frasa_rl.config import Task
 from frasa_rl.falls import Kind
 from frasa_rl.observation import Observation, bounds
@@ -21,7 +20,7 @@ from frasa_rl.randomize import Randomizer
 from frasa_rl.render import Camera, Frame
 from frasa_rl.robot import Floats
 from frasa_rl.simulation import set_state
-from frasa_rl.starts import StartMaker
+from frasa_rl.starts import StartMaker, compat_starts
 from frasa_rl.task_model import build_model
 from frasa_sysid.calibration import UsageError, calibration_id, load_calibration
 
@@ -64,7 +63,7 @@ class StandUp(gymnasium.Env[Observation, Action]):
         compiled = build_model(Path(model), task, textures=render_mode is not None)
         self.calibration_id = calibration_id(compiled)
         self._maker = StartMaker(compiled, task, load_calibration(Path(model)), randomize=randomize, threads=1)
-        self._compat = _compat_starts(self._maker) if task.compat else None
+        self._compat = compat_starts(self._maker) if task.compat else None
         self.robot = self._maker.robot
         self._core = StandUpBatch(compiled, task, 1, threads=1)
         self._bounds = bounds(task)
@@ -156,11 +155,6 @@ class StandUp(gymnasium.Env[Observation, Action]):
         if self._camera is not None:
             self._camera.close()
             self._camera = None
-
-
-def _compat_starts(maker: StartMaker) -> CompatStarts:
-    draw = Draw(maker.model, maker.robot, maker.task) if maker.randomizer else None
-    return CompatStarts(maker.model, maker.robot, maker.task, draw)
 
 
 def _info(out: Outcome | None) -> dict[str, Any]:

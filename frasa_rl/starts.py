@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.random import Generator
 
+from frasa_rl.compat2024 import CompatStarts, Draw
 from frasa_rl.config import Task
 from frasa_rl.falls import Kind, as_asked, draw_release, let_go
 from frasa_rl.randomize import Randomizer
@@ -88,8 +89,8 @@ class StartMaker:
             while len(done) < len(tries):
                 for slot, one in enumerate(slots):
                     if one is None and waiting:
-                        slots[slot] = waiting.popleft()
-                        sim.put(slot, slots[slot].begin())  # type: ignore[union-attr]
+                        slots[slot] = following = waiting.popleft()
+                        sim.put(slot, following.begin())
                 sim.advance(np.repeat(sim.ctrl[:, None], self._steps, axis=1))
                 for slot, one in enumerate(slots):
                     if one is not None and one.over(sim, slot):
@@ -102,6 +103,12 @@ class StartMaker:
         finally:
             sim.close()
         return [done[index] for index in range(len(tries))]
+
+
+def compat_starts(maker: StartMaker) -> CompatStarts:
+    """Starts of a maker's model and task as the published environment makes them."""
+    draw = Draw(maker.model, maker.robot, maker.task) if maker.randomizer else None
+    return CompatStarts(maker.model, maker.robot, maker.task, draw)
 
 
 class _Try:

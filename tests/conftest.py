@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -13,7 +13,7 @@ import frasa_sysid  # noqa: F401 (before numpy, whose threads it keeps to one)
 # isort: split
 import numpy as np
 
-from frasa_sysid.calibration import load_model
+from frasa_sysid.calibration import load_model, servo_law
 from frasa_sysid.model_mark import mark_of
 from frasa_sysid.robot_fit_record import RobotEstimate, RobotFitRecord, base_numbers, with_products
 from frasa_sysid.stored_fit import StoredFit
@@ -25,6 +25,15 @@ REPO_ROOT = Path(__file__).resolve().parent.parent
 def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Pools of starts are kept where no other run of the tests sees them."""
     os.environ["FRASA_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture
+def law_as_before() -> Iterator[None]:
+    """Loading a model installs its friction law for the process; what follows in it shall not notice."""
+    before = servo_law.installed()
+    yield
+    if not before:
+        servo_law.uninstall()
 
 
 @pytest.fixture(scope="session")

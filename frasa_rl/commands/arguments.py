@@ -3,7 +3,6 @@
 import argparse
 from pathlib import Path
 
-from frasa_rl.bars import shown_share
 from frasa_rl.commands.task_option import add_task_option, chosen_task
 from frasa_rl.controllers import Controller
 from frasa_rl.evaluate import find_controller, is_policy
@@ -43,6 +42,3 @@ def conditions(
     return controller, Conditions(
         model=chosen, task=evaluation_task(task), rate_hz=args.rate, randomize=randomize, seed=args.seed
     )
-
-
-__all__ = ["CONTROLLER_HELP", "add_conditions", "conditions", "shown_share"]

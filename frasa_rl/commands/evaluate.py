@@ -5,7 +5,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from frasa_rl.commands.arguments import CONTROLLER_HELP, add_conditions, conditions, shown_share
+from frasa_rl.bars import shown_share
+from frasa_rl.commands.arguments import CONTROLLER_HELP, add_conditions, conditions
 from frasa_rl.evaluate import SCHEMA, evaluate
 from frasa_rl.protocol_picture import check_picture, draw
 from frasa_rl.protocol_tables import tables

@@ -5,7 +5,8 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
-from frasa_rl.commands.arguments import CONTROLLER_HELP, add_conditions, conditions, shown_share
+from frasa_rl.bars import shown_share
+from frasa_rl.commands.arguments import CONTROLLER_HELP, add_conditions, conditions
 from frasa_rl.evaluate import evaluate
 from frasa_rl.instruments import MEASURES
 from frasa_rl.rank import CRITERIA, PASS_SHARE, numbers_of, rank, rank_table

@@ -13,8 +13,8 @@ from frasa_rl.config import Task
 from frasa_rl.falls import draw_release
 from frasa_rl.pool import Pool
 from frasa_rl.simulation import Simulation
-from frasa_rl.standup_env import StandUp, _compat_starts
-from frasa_rl.starts import StartMaker
+from frasa_rl.standup_env import StandUp
+from frasa_rl.starts import StartMaker, compat_starts
 from frasa_rl.task_model import build_model
 
 OURS, THEIRS = Task(), compat_task(Task())
@@ -49,7 +49,7 @@ def depth(start, model=None):
 def test_b6_joints_jump_and_nothing_is_derived(theirs, ours):
     """Their robot is another one than has settled, with constants of neither; ours is the one that has."""
     random.seed(0)
-    (start,) = _compat_starts(theirs).make([rng()])
+    (start,) = compat_starts(theirs).make([rng()])
     (mine,) = ours.make([rng()], ["any"])
     original = theirs.original
     trunk, model = theirs.robot.trunk, start.model
@@ -89,7 +89,7 @@ def test_b7_the_robot_before(theirs, ours, monkeypatch):
     settled = []
     settle = CompatStarts._settle
     monkeypatch.setattr(CompatStarts, "_settle", lambda self, start: settled.append(start.model) or settle(self, start))
-    starts = _compat_starts(theirs).make([rng(seed) for seed in range(3)])
+    starts = compat_starts(theirs).make([rng(seed) for seed in range(3)])
     before = [theirs.original, starts[0].model, starts[1].model]
     for used, expected in zip(settled, before, strict=True):
         for name in ("body_mass", "qpos0", "dof_damping", "actuator_gainprm", "geom_friction"):
@@ -142,7 +142,7 @@ def _content(model):
 def test_knees_at_their_limits(theirs, ours):
     """Half of their knees start straight and a seventh bent as far as it goes; none of ours."""
     random.seed(0)
-    compat, bare = _compat_starts(theirs), replace(OURS, near_target_share=0.0)
+    compat, bare = compat_starts(theirs), replace(OURS, near_target_share=0.0)
     compat._task = replace(THEIRS, near_target_share=0.0)
     knees = {
         "theirs": np.array([compat._release().joints[3] for _ in range(3000)]),
@@ -160,7 +160,7 @@ def test_knees_at_their_limits(theirs, ours):
 def test_near_the_standing_pose(theirs, ours):
     """A tenth of theirs has legs bent by one offset; of ours every joint has an offset of its own."""
     random.seed(0)
-    compat = _compat_starts(theirs)
+    compat = compat_starts(theirs)
     pose = np.radians([one.target_deg for one in OURS.joints])
     drawn = np.array([compat._release().joints - pose for _ in range(2000)])
     near = drawn[np.abs(drawn).max(axis=1) <= 0.2 + 1e-12]
@@ -175,7 +175,7 @@ def test_release_and_settling(theirs, ours, monkeypatch):
     """They put the trunk's site at 0.4 m with straight arms and wait 2 s; we 1 cm above the floor until it is still."""
     begun = []
     monkeypatch.setattr(compat2024.CompatStarts, "_settle", lambda _, start: begun.append(start) or start)
-    compat = _compat_starts(theirs)
+    compat = compat_starts(theirs)
     starts = compat.make([rng(seed) for seed in range(4)])
     rolls = [theirs.model.actuator(f"{side}_shoulder_roll").id for side in ("left", "right")]
     for start in begun:
@@ -187,7 +187,7 @@ def test_release_and_settling(theirs, ours, monkeypatch):
     for start in starts:
         np.testing.assert_allclose(np.degrees(start.ctrl[rolls]), [-5.0, 5.0])
     monkeypatch.undo()
-    times = [start.state[0] for start in _compat_starts(theirs).make([rng(seed) for seed in range(3)])]
+    times = [start.state[0] for start in compat_starts(theirs).make([rng(seed) for seed in range(3)])]
     np.testing.assert_allclose(times, 2.0)
     mine = [start.state[0] for start in ours.make([rng(seed) for seed in range(8)], ["random"] * 8)]
     assert len({round(one, 6) for one in mine}) > 2

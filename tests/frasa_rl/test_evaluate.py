@@ -2,12 +2,10 @@
 
 import json
 from dataclasses import asdict
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from frasa_rl import evaluate as module
 from frasa_rl.config import Task
 from frasa_rl.controllers import Nothing
 from frasa_rl.evaluate import Evaluation, check_policy, find_controller
@@ -18,6 +16,7 @@ from frasa_rl.protocol_picture import PictureError, draw
 from frasa_rl.protocol_push import PushTrial
 from frasa_rl.protocol_standup import StandUpTrial, run_standup
 from frasa_rl.protocol_tables import tables
+from frasa_rl.routine import KeyframeError
 from frasa_sysid.calibration import CalibrationError, UsageError, plain
 
 TASK = Task()
@@ -160,20 +159,13 @@ def test_a_policy_runs_on_its_own_model(nominal, tmp_path):
     assert find_controller("nothing", nominal, TASK)[1] == nominal
 
 
-def test_keyframes_are_a_controller_where_there_are_any(monkeypatch, nominal):
-    """The word is the standing file, a file is itself, and a frasa without keyframes says so."""
-    asked = []
-    keyframe = SimpleNamespace(
-        KEYFRAMES="own", load_controller=lambda path, task, limits_deg: asked.append(str(path)) or "k"
-    )
-    monkeypatch.setattr(module, "import_module", lambda name: keyframe)
-    assert find_controller("keyframes", nominal, TASK) == ("k", nominal)
-    find_controller("mine.yaml", nominal, TASK)
-    assert asked == ["own", "mine.yaml"]
-
-    def missing(name):
-        raise ModuleNotFoundError(name)
-
-    monkeypatch.setattr(module, "import_module", missing)
-    with pytest.raises(UsageError, match="no keyframe controller"):
-        find_controller("keyframes", nominal, TASK)
+def test_keyframes_are_a_controller(nominal, robot_model_dir, tmp_path, monkeypatch):
+    """The word is the shipped file, a file is itself, and one that is not there is named."""
+    monkeypatch.chdir(robot_model_dir.parent)
+    mine = tmp_path / "mine.yaml"
+    mine.write_text((robot_model_dir / "keyframes.yaml").read_text())
+    for word in ("keyframes", str(mine)):
+        controller, model = find_controller(word, nominal, TASK)
+        assert (controller.name, model) == ("keyframe", nominal)
+    with pytest.raises(KeyframeError, match=r"none\.yaml"):
+        find_controller(str(tmp_path / "none.yaml"), nominal, TASK)

@@ -31,13 +31,7 @@ CUSTOM = """<custom><text name="calibration_id" data="c0ffee"/>
 <numeric name="mx106_friction" data="{law}"/><numeric name="mx64_friction" data="{law}"/></custom></mujoco>"""
 
 
-@pytest.fixture(autouse=True)
-def _callback():
-    """Loading installs the law for the process; what follows in it shall not notice."""
-    before = servo_law.installed()
-    yield
-    if not before:
-        servo_law.uninstall()
+pytestmark = pytest.mark.usefixtures("law_as_before")
 
 
 @pytest.fixture

@@ -22,13 +22,7 @@ def made(path, task):
     return model, Randomizer(model, find_robot(model, task), task, load_calibration(path))
 
 
-@pytest.fixture(autouse=True)
-def _callback():
-    """Loading installs the law for the process; what follows in it shall not notice."""
-    before = servo_law.installed()
-    yield
-    if not before:
-        servo_law.uninstall()
+pytestmark = pytest.mark.usefixtures("law_as_before")
 
 
 @pytest.fixture(scope="module")

@@ -43,13 +43,7 @@ BY_LAW = {
 }
 
 
-@pytest.fixture(autouse=True)
-def _callback():
-    """Loading installs the law for the process; what follows in it shall not notice."""
-    before = servo_law.installed()
-    yield
-    if not before:
-        servo_law.uninstall()
+pytestmark = pytest.mark.usefixtures("law_as_before")
 
 
 def fit_of(folder, law="m4", servo="mx106", friction=None, **more):

@@ -18,14 +18,7 @@ from frasa_sysid.model_mark import mark_of
 from frasa_sysid.publish import publish, write
 from frasa_sysid.published_as import as_m1
 
-
-@pytest.fixture(autouse=True)
-def _callback():
-    """Loading installs the law for the process; what follows in it shall not notice."""
-    before = servo_law.installed()
-    yield
-    if not before:
-        servo_law.uninstall()
+pytestmark = pytest.mark.usefixtures("law_as_before")
 
 
 @pytest.fixture

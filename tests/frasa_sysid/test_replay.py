@@ -16,14 +16,7 @@ from frasa_sysid.replay import replay
 from frasa_sysid.servo import PUBLISHED_M4
 from frasa_sysid.stand_in import stand_in
 
-
-@pytest.fixture(autouse=True)
-def _callback():
-    """Loading installs the law for the process; what follows in it shall not notice."""
-    before = servo_law.installed()
-    yield
-    if not before:
-        servo_law.uninstall()
+pytestmark = pytest.mark.usefixtures("law_as_before")
 
 
 @pytest.fixture(scope="module")
