@@ -9,6 +9,7 @@ import numpy as np
 
 from frasa_rl.config import Task
 from frasa_rl.controllers import Controller, Nothing, PolicyController
+from frasa_rl.foreign import foreign_policy, is_foreign
 from frasa_rl.instruments import MEASURES
 from frasa_rl.keyframe import KEYFRAMES as KEYFRAMES_FILE
 from frasa_rl.keyframe import load_controller
@@ -113,19 +114,20 @@ def evaluate(
     return Evaluation(stood, pushed)
 
 
-def find_controller(word: str, model: Path | None, task: Task, *, allow_other_model: bool = False) -> tuple[
-    Controller, Path
-]:  # fmt: skip
+def find_controller(
+    word: str, model: Path | None, task: Task, *, allow_other_model: bool = False, trust: bool = False
+) -> tuple[Controller, Path]:
     """The controller a word names, and the model it is to run on.
 
     Args:
-        word: `nothing`, `keyframes`, a file of keyframes (.yaml), or the folder of a run or policy.
+        word: `nothing`, `keyframes`, a file of keyframes (.yaml), the folder of a run or policy, or an SB3 file (.zip).
         model: None for the one the policy was trained on, or the calibrated one.
         task: what it is to do.
         allow_other_model: a policy may run on another calibration than its own.
+        trust: an SB3 file may be read.
 
     Raises:
-        PolicyError: no policy there, or one of another task.
+        PolicyError: no policy there, one of another task, or an SB3 file that is not trusted.
         KeyframeError: no keyframes there, or with joints or angles that the model does not have.
         ModelError: the model that keyframes are to run on is missing or broken, or lacks something.
         CalibrationError: a policy of another calibration, and that is not allowed.
@@ -137,14 +139,26 @@ def find_controller(word: str, model: Path | None, task: Task, *, allow_other_mo
         limits_deg = np.degrees(find_robot(build_model(chosen, task), task).limits)
         path = KEYFRAMES_FILE if word == KEYFRAMES else Path(word)
         return load_controller(path, task, limits_deg), chosen
-    policy = Policy.load(word)
-    chosen = model or Path(str(policy.run.get("model", DEFAULT_MODEL)))
-    check_policy(policy, task, calibration_id(load_model(chosen)), allow_other_model=allow_other_model)
+    policy, chosen = find_policy(word, model, task, allow_other_model=allow_other_model, trust=trust)
     return PolicyController(policy, word), chosen
 
 
+def find_policy(
+    word: str, model: Path | None, task: Task, *, allow_other_model: bool = False, trust: bool = False
+) -> tuple[Policy, Path]:
+    """The policy a word names, and its model; arguments and errors as in `find_controller`."""
+    if is_foreign(word):
+        chosen = model or DEFAULT_MODEL
+        policy = foreign_policy(Path(word), task, chosen, trust=trust)
+    else:
+        policy = Policy.load(word)
+        chosen = model or Path(str(policy.run.get("model", DEFAULT_MODEL)))
+    check_policy(policy, task, calibration_id(load_model(chosen)), allow_other_model=allow_other_model)
+    return policy, chosen
+
+
 def is_policy(word: str) -> bool:
-    """Whether a word for a controller names a folder of a policy."""
+    """Whether a word for a controller names a policy: a folder, or an SB3 file."""
     return word not in (NOTHING, KEYFRAMES) and not word.endswith((".yaml", ".yml"))
 
 

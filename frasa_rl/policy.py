@@ -2,9 +2,14 @@
 
 policy/weights.safetensors   layer0.weight (out, in), layer0.bias (out,), layer1.weight, ...
 policy/run.yaml              what it was trained on: task, model, calibration id, seed, versions
+
+A published one has two files more, written by `frasa_rl.export`:
+
+policy/policy.onnx           the same network, with all that a robot needs to know in its metadata
+policy/deploy.json           the same as plain data, for `frasa_rl.runtime`
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,12 +18,14 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from frasa_rl.runtime import DEPLOY_FILE, WEIGHTS_FILE, DeployError, check_layers, read_weights
 from frasa_sysid.calibration import InputError, plain, write_atomic
 
 Array = npt.NDArray[np.float32]
-WEIGHTS_FILE = "weights.safetensors"
 RUN_FILE = "run.yaml"
+ONNX_FILE = "policy.onnx"
 FOLDER = "policy"
+_LARGEST_RUN = 1 << 20
 
 
 class PolicyError(InputError):
@@ -40,14 +47,10 @@ class Policy:
     run: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not self.layers:
-            raise PolicyError("a policy needs at least one layer")
-        for index, (weight, bias) in enumerate(self.layers):
-            wanted = self.layers[index - 1][0].shape[0] if index else weight.shape[-1]
-            if weight.ndim != 2 or weight.shape[1] != wanted or bias.shape != weight.shape[:1]:
-                raise PolicyError(f"layer {index} has shapes {weight.shape} and {bias.shape} after {wanted} numbers")
-            if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
-                raise PolicyError(f"layer {index} holds numbers that are not finite")
+        try:
+            check_layers(self.layers)
+        except DeployError as error:
+            raise PolicyError(str(error)) from None
 
     def act(self, observation: npt.ArrayLike) -> Array:
         """Actions in [-1, 1] for one observation (22,) or many (k, 22): shape (5,) or (k, 5)."""
@@ -58,15 +61,24 @@ class Policy:
         action: Array = np.tanh(values @ weight.T + bias)
         return action
 
-    def save(self, folder: Path) -> None:
-        """Write the folder; each file is complete or as it was before."""
+    def save(self, folder: Path, metadata: Mapping[str, str] | None = None) -> None:
+        """Write weights and run.yaml; each file is complete or as it was before.
+
+        Whatever was published of other weights there is removed.
+
+        Args:
+            folder: of the policy.
+            metadata: notes to carry along with the weights.
+        """
         from safetensors.numpy import save
 
         tensors = {}
         for index, (weight, bias) in enumerate(self.layers):
             tensors[f"layer{index}.weight"] = np.ascontiguousarray(weight)
             tensors[f"layer{index}.bias"] = np.ascontiguousarray(bias)
-        write_atomic(folder / WEIGHTS_FILE, save(tensors))
+        for name in (ONNX_FILE, DEPLOY_FILE):
+            (folder / name).unlink(missing_ok=True)
+        write_atomic(folder / WEIGHTS_FILE, save(tensors, dict(metadata) if metadata else None))
         write_atomic(folder / RUN_FILE, yaml.safe_dump(plain(self.run), sort_keys=False))
 
     @staticmethod
@@ -79,7 +91,11 @@ class Policy:
         path = Path(folder)
         inner = path / FOLDER
         path = inner if (inner / WEIGHTS_FILE).is_file() else path
-        return Policy(tuple(_read_layers(path / WEIGHTS_FILE)), read_run(path / RUN_FILE))
+        try:
+            layers, _ = read_weights(path / WEIGHTS_FILE)
+        except DeployError as error:
+            raise PolicyError(str(error)) from None
+        return Policy(layers, read_run(path / RUN_FILE))
 
 
 def read_run(path: Path) -> dict[str, Any]:
@@ -89,7 +105,11 @@ def read_run(path: Path) -> dict[str, Any]:
         PolicyError: missing, or not a mapping in YAML.
     """
     try:
-        run = yaml.safe_load(path.read_text(encoding="utf-8"))
+        with path.open("rb") as file:
+            content = file.read(_LARGEST_RUN + 1)
+        if len(content) > _LARGEST_RUN:
+            raise PolicyError(f"{path} is larger than {_LARGEST_RUN >> 20} MiB")
+        run = yaml.load(content.decode("utf-8"), _NoAliases)  # a safe loader
     except FileNotFoundError:
         raise PolicyError(f"no {path}: expected the folder of a run or of a policy") from None
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
@@ -99,21 +119,10 @@ def read_run(path: Path) -> dict[str, Any]:
     return run
 
 
-def _read_layers(path: Path) -> Sequence[tuple[Array, Array]]:
-    from safetensors import SafetensorError
-    from safetensors.numpy import load
+class _NoAliases(yaml.SafeLoader):
+    """Plain data only, and nothing by reference: ten lines of aliases can stand for more than fits into memory."""
 
-    try:
-        tensors = load(path.read_bytes())
-    except FileNotFoundError:
-        raise PolicyError(f"no policy at {path.parent}: expected {WEIGHTS_FILE}") from None
-    except (SafetensorError, ValueError) as error:
-        raise PolicyError(f"{path} is not a safetensors file: {error}") from error
-    count = len(tensors) // 2
-    names = {f"layer{i}.{part}" for i in range(count) for part in ("weight", "bias")}
-    if set(tensors) != names:
-        raise PolicyError(f"{path} holds {', '.join(sorted(tensors))}; expected layer0.weight, layer0.bias, ...")
-    return [
-        (tensors[f"layer{i}.weight"].astype(np.float32), tensors[f"layer{i}.bias"].astype(np.float32))
-        for i in range(count)
-    ]
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("it holds an alias")
+        return super().compose_node(parent, index)

@@ -4,23 +4,40 @@ import argparse
 from pathlib import Path
 
 from frasa_rl.commands.task_option import add_task_option, chosen_task
+from frasa_rl.config import Task
 from frasa_rl.controllers import Controller
 from frasa_rl.evaluate import find_controller, is_policy
+from frasa_rl.foreign import is_foreign
 from frasa_rl.physics import own_physics
 from frasa_rl.policy import Policy
 from frasa_rl.protocol import Conditions, evaluation_task
 from frasa_sysid.calibration import UsageError
 
-CONTROLLER_HELP = "a run or policy folder, 'keyframes', a file of keyframes (.yaml), or 'nothing' (every command held)"
+CONTROLLER_HELP = (
+    "a run or policy folder, an SB3 file (.zip), 'keyframes', a file of keyframes (.yaml), or 'nothing' "
+    "(every command held)"
+)
 
 
 def add_conditions(parser: argparse.ArgumentParser) -> None:
     """Add the arguments that say on which model and how."""
     parser.add_argument("--model", type=Path, help="model file (default: the one the policy was trained on)")
     parser.add_argument("--allow-other-model", action="store_true", help="run it on another calibration than its own")
+    add_trust(parser)
     add_task_option(parser)
     parser.add_argument("--rate", type=float, metavar="HZ", help="decisions a second, 20 or 100 (default: as trained)")
     parser.add_argument("--seed", type=int, default=10_000, help="of all trials (default 10000)")
+
+
+def add_trust(parser: argparse.ArgumentParser) -> None:
+    """Add the argument that lets files from strangers in."""
+    parser.add_argument("--trust", action="store_true", help="read an SB3 file (.zip): you know where it is from")
+
+
+def chosen_task_of(args: argparse.Namespace, word: str) -> Task:
+    """The task that the arguments name, else the policy's own; an SB3 file has none."""
+    named = is_policy(word) and not is_foreign(word)
+    return chosen_task(args, Policy.load(word) if named else None)
 
 
 def conditions(
@@ -35,10 +52,11 @@ def conditions(
         raise UsageError("--seed must not be negative")
     if args.rate is not None and not 0.0 < args.rate <= 1000.0:
         raise UsageError("--rate must be more than 0 and at most 1000")
-    task = chosen_task(args, Policy.load(word) if is_policy(word) else None)
+    task = chosen_task_of(args, word)
     if args.task is None:  # whatever a policy was trained with, it is measured as the model file steps
         task = own_physics(task)
-    controller, chosen = find_controller(word, model, task, allow_other_model=args.allow_other_model)
+    allowed = {"allow_other_model": args.allow_other_model, "trust": args.trust}
+    controller, chosen = find_controller(word, model, task, **allowed)
     return controller, Conditions(
         model=chosen, task=evaluation_task(task), rate_hz=args.rate, randomize=randomize, seed=args.seed
     )

@@ -1,0 +1,64 @@
+"""A policy as others take it: weights, ONNX, what it was trained on, and what a robot must know; then tried out."""
+
+import json
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from frasa_rl import __version__
+from frasa_rl.deployment import metadata
+from frasa_rl.onnx_file import INPUT, onnx_bytes
+from frasa_rl.policy import ONNX_FILE, Policy
+from frasa_rl.runtime import DEPLOY_FILE, WEIGHTS_FILE, Network, read_weights
+from frasa_sysid.calibration import QualityError, write_atomic
+
+AGREEMENT = 1e-5
+_TRIED = 1000
+_FASTEST = 10.0  # [rad/s]: rounding grows with what is seen, and nothing on the robot turns faster
+
+
+def publish(policy: Policy, deploy: dict[str, Any], folder: Path) -> list[Path]:
+    """Write all files of a policy; each is complete or absent, and all tell of the same weights.
+
+    Without the package `onnx`, policy.onnx is left out.
+
+    Args:
+        policy: with its run.
+        deploy: from `deployment`.
+        folder: is made when missing.
+    """
+    deploy = {**deploy, "frasa_version": __version__}
+    policy.save(folder, {"frasa_deploy": json.dumps(deploy, allow_nan=False)})
+    layers, digest = read_weights(folder / WEIGHTS_FILE)
+    deploy = {**deploy, "weights_sha256": digest}
+    if find_spec("onnx"):
+        write_atomic(folder / ONNX_FILE, onnx_bytes(layers, {**metadata(deploy), "weights_sha256": digest}))
+    write_atomic(folder / DEPLOY_FILE, json.dumps(deploy, indent=2, allow_nan=False) + "\n")
+    return sorted(one for one in folder.iterdir() if one.is_file() and not one.name.startswith("."))
+
+
+def check_published(policy: Policy, deploy: dict[str, Any], folder: Path) -> dict[str, float]:
+    """Largest difference of a published policy's runtimes from the policy, over random observations.
+
+    onnxruntime is tried where it is installed.
+
+    Raises:
+        QualityError: one differs by more than `AGREEMENT`.
+    """
+    bound = np.concatenate([np.full(one["size"], min(one["bound"], _FASTEST)) for one in deploy["observation"]])
+    seen = np.random.default_rng(0).uniform(-bound, bound, (_TRIED, bound.size)).astype(np.float32)
+    expected = policy.act(seen)
+    network = Network(read_weights(folder / WEIGHTS_FILE)[0])
+    found = {"runtime": np.stack([network.act(one).copy() for one in seen])}
+    if (folder / ONNX_FILE).is_file() and find_spec("onnxruntime"):
+        import onnxruntime
+
+        session = onnxruntime.InferenceSession(folder / ONNX_FILE, providers=["CPUExecutionProvider"])
+        found["onnxruntime"] = session.run(None, {INPUT: seen})[0]
+    differences = {name: float(np.abs(one - expected).max()) for name, one in found.items()}
+    for name, one in differences.items():
+        if not one <= AGREEMENT:
+            raise QualityError(f"{folder}: {name} differs by {one:.1e} from the policy, more than {AGREEMENT:g}")
+    return differences
