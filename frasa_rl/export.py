@@ -16,7 +16,6 @@ from frasa_sysid.calibration import QualityError, write_atomic
 
 AGREEMENT = 1e-5
 _TRIED = 1000
-_FASTEST = 10.0  # [rad/s]: rounding grows with what is seen, and nothing on the robot turns faster
 
 
 def publish(policy: Policy, deploy: dict[str, Any], folder: Path) -> list[Path]:
@@ -47,7 +46,8 @@ def check_published(policy: Policy, deploy: dict[str, Any], folder: Path) -> dic
     Raises:
         QualityError: one differs by more than `AGREEMENT`.
     """
-    bound = np.concatenate([np.full(one["size"], min(one["bound"], _FASTEST)) for one in deploy["observation"]])
+    fastest = deploy["action"]["rate_limit_rad_s"]  # rounding grows with what is seen; few joints turn faster
+    bound = np.concatenate([np.full(one["size"], min(one["bound"], fastest)) for one in deploy["observation"]])
     seen = np.random.default_rng(0).uniform(-bound, bound, (_TRIED, bound.size)).astype(np.float32)
     expected = policy.act(seen)
     network = Network(read_weights(folder / WEIGHTS_FILE)[0])

@@ -22,6 +22,7 @@ from frasa_sysid.calibration import UsageError, calibration_id, load_model, sha2
 
 Tensors = Mapping[str, npt.NDArray[np.float64]]
 _LARGEST = 1 << 28
+_RELU = "<class 'torch.nn.modules.activation.ReLU'>"
 _RENORM_EPS, _CLIP_MEAN = 1e-3, 2.0  # defaults of sb3-contrib and SB3
 
 
@@ -179,14 +180,15 @@ def _options(said: Mapping[str, Any]) -> dict[str, float]:
     """Numbers of the actor that are not in its tensors."""
     given = said.get("policy_kwargs")
     given = given if isinstance(given, dict) else {}
-    kind = str(given.get("activation_fn", "ReLU"))
-    if "ReLU" not in kind or "Leaky" in kind:
+    kind = str(given.get("activation_fn", _RELU))
+    if kind != _RELU:
         raise ValueError(f"its activation is {kind[:60]}, expected ReLU")
     space = said.get("action_space")
     space = space if isinstance(space, dict) else {}
-    for name, limit in (("low_repr", -1.0), ("high_repr", 1.0)):
-        if name in space and float(space[name]) != limit:
-            raise ValueError(f"its actions reach {str(space[name])[:40]}, expected -1 to 1")
+    for name, limit in (("low", -1.0), ("high", 1.0)):
+        numbers = str(space.get(name, limit)).strip("[]").split()
+        if any(float(one) != limit for one in numbers):
+            raise ValueError(f"its actions reach {' '.join(numbers)[:40]}, expected -1 to 1")
     options = {"batch_norm_eps": _RENORM_EPS, "clip_mean": _CLIP_MEAN}
     for name in options:
         value = given.get(name, options[name])

@@ -51,8 +51,8 @@ class Network:
         self._observation, self._shape = values[0][:-1], (self.inputs,)
         self._action = np.zeros(self.outputs, dtype=np.float32)
         outs = [*(one[:-1] for one in values[1:]), self._action]
-        # Column by column in memory: for these sizes the faster way through a matrix.
-        weights = [np.asfortranarray(np.column_stack(one), dtype=np.float32) for one in layers]
+        # Row by row in memory, as `Policy.act` has them: the two then round alike.
+        weights = [np.ascontiguousarray(np.column_stack(one), dtype=np.float32) for one in layers]
         *self._hidden, self._last = zip(weights, values, outs, strict=True)
 
     def act(self, observation: npt.NDArray[Any]) -> Single:
@@ -61,11 +61,11 @@ class Network:
             raise ValueError(f"an observation of shape {observation.shape}: expected {self._shape}")
         self._observation[:] = observation
         for weight, values, out in self._hidden:
-            np.dot(weight, values, out)
-            np.maximum(out, _ZERO, out)
+            np.dot(weight, values, out=out)
+            np.maximum(out, _ZERO, out=out)
         weight, values, out = self._last
-        np.dot(weight, values, out)
-        np.tanh(out, out)
+        np.dot(weight, values, out=out)
+        np.tanh(out, out=out)
         return out
 
 
@@ -95,22 +95,39 @@ class Runtime:
     def __init__(self, network: Network, deploy: dict[str, Any], rate_hz: float | None = None) -> None:
         self.deploy, self.act = deploy, network.act
         try:
-            self._describe(deploy, rate_hz)
+            self._read_joints(deploy)
+            self._read_rates(deploy, rate_hz)
+            n = self._n = len(self.joints)
+            sizes = [n, n, n, 1, 1, n]
+            said = [(one["name"], one["size"]) for one in deploy["observation"]]
+            bounds = [_number(one["bound"], 0.0, 1e3) for one in deploy["observation"]]
         except (KeyError, TypeError, AttributeError, IndexError) as error:
-            raise DeployError(f"{DEPLOY_FILE}: missing or wrong field: {error!r}") from None
-        n = self._n = len(self.joints)
-        sizes = [n, n, n, 1, 1, n]
-        said = [(one["name"], one["size"]) for one in deploy["observation"]]
+            raise DeployError(f"{DEPLOY_FILE}: missing or wrong field: {_short(repr(error))}") from None
         if said != list(zip(PARTS, sizes, strict=True)) or (network.inputs, network.outputs) != (sum(sizes), n):
             raise DeployError(f"{DEPLOY_FILE}: {n} joints do not go with its observation and these weights")
-        self._high = np.repeat([float(np.float32(one["bound"])) for one in deploy["observation"]], sizes)
-        self._low = -self._high
-        self._seen, self.observation = np.zeros(sum(sizes)), np.zeros(sum(sizes), dtype=np.float32)
-        self._sides, self._both = np.zeros((n, 2)), np.zeros((n, 2))
-        self._before, self._goal = np.zeros(n), np.zeros(n)
+        self._high = np.repeat(np.array(bounds, dtype=np.float32), sizes).astype(np.float64)
+        self._low, self._seen = -self._high, np.zeros(sum(sizes))
+        self.observation = np.zeros(sum(sizes), dtype=np.float32)
+        self._before, self._change, self._commands = np.zeros(n), np.zeros(n), np.zeros((n, 2))
+        self._remember()
 
-    def _describe(self, deploy: dict[str, Any], rate_hz: float | None) -> None:
-        """Take from a description what the loop needs."""
+    def _remember(self) -> None:
+        """All that is read and remembered in one vector, and the matrix that makes of it what the policy sees."""
+        n, spans = self._n, self._shares.size
+        known = self._known = np.zeros(5 * n + 2 + spans * n)
+        self._positions, self._velocities = known[: 2 * n].reshape(n, 2), known[2 * n : 4 * n].reshape(n, 2)
+        self._goal, self._trunk = known[4 * n : 5 * n], known[5 * n : 5 * n + 2]
+        self._recent = known[5 * n + 2 :].reshape(spans, n)  # actions, the oldest first
+        self._newest, self._goal_column = self._recent[-1], self._goal[:, None]
+        mean = np.kron(np.eye(n), [0.5, 0.5]) * self._mirror.ravel()
+        blocks = (mean, mean, np.eye(n), np.eye(2), np.kron(self._shares, np.eye(n)))
+        self._sight = np.zeros((self._seen.size, known.size))
+        row = column = 0
+        for one in blocks:
+            self._sight[row : row + one.shape[0], column : column + one.shape[1]] = one
+            row, column = row + one.shape[0], column + one.shape[1]
+
+    def _read_joints(self, deploy: dict[str, Any]) -> None:
         if deploy["schema"] != SCHEMA:
             raise DeployError(f"{DEPLOY_FILE}: schema is {str(deploy['schema'])[:40]!r}, expected {SCHEMA!r}")
         if deploy["compat"]:
@@ -120,9 +137,13 @@ class Runtime:
         joints = deploy["joints"]
         self.joints = tuple((str(one["left"]), str(one["right"])) for one in joints)
         self._mirror = np.array([[1.0, _number(one["mirror"], -1.0, 1.0)] for one in joints])
+        if (np.abs(self._mirror) != 1.0).any():
+            raise DeployError(f"{DEPLOY_FILE}: a mirror is neither 1 nor -1")
         self._least = np.array([_number(one["command_low_rad"], -10.0, 10.0) for one in joints])
         self._most = np.array([_number(one["command_high_rad"], -10.0, 10.0) for one in joints])
         self.held = {str(name): _number(value, -10.0, 10.0) for name, value in deploy["held"].items()}
+
+    def _read_rates(self, deploy: dict[str, Any], rate_hz: float | None) -> None:
         control = deploy["control"]
         trained_s = _number(control["period_s"], 1e-4, 1.0)
         slowest, fastest = _number(control["lowest_hz"], 1.0, 1e4), _number(control["highest_hz"], 1.0, 1e4)
@@ -135,7 +156,7 @@ class Runtime:
         parts = max(1.0, round(trained_s / self.period_s, 6))
         shares = np.ones(math.ceil(parts))
         shares[0] = parts - (shares.size - 1)
-        self._shares, self._recent = shares / parts, np.zeros((shares.size, len(joints)))
+        self._shares = shares / parts
 
     @staticmethod
     def load(folder: Path | str, rate_hz: float | None = None) -> "Runtime":
@@ -159,7 +180,7 @@ class Runtime:
         present = np.asarray(commands, dtype=np.float64)
         if present.shape != (self._n, 2) or not np.isfinite(present).all():
             raise ValueError(f"commands of shape {present.shape}: expected {(self._n, 2)}, all finite")
-        self._goal[:] = (present * self._mirror) @ (0.5, 0.5)
+        self._goal[:] = 0.5 * (present * self._mirror).sum(axis=1)
         self._before[:] = self._goal
         self._recent[:] = 0.0
 
@@ -176,35 +197,32 @@ class Runtime:
             Joint angles to be commanded when the period ends [rad], shape (n, 2); on the way there, `between`.
 
         Raises:
-            ValueError: a reading is not a finite number; commands stay as they are.
+            ValueError: a reading is not a finite number, or there are not so many; commands stay as they are.
         """
-        n, seen, seen_now = self._n, self._seen, self.observation
-        for start, values in ((0, positions), (n, velocities)):
-            np.multiply(values, self._mirror, self._sides)
-            np.dot(self._sides, _HALF, seen[start : start + n])
-        seen[2 * n : 3 * n] = self._goal
-        seen[3 * n], seen[3 * n + 1] = pitch, pitch_rate
-        np.dot(self._shares, self._recent, seen[3 * n + 2 :])
-        if not math.isfinite(float(np.dot(seen, seen))):
+        if positions.shape != self._commands.shape or velocities.shape != self._commands.shape:
+            raise ValueError(f"readings of shape {positions.shape}, {velocities.shape}: expected {(self._n, 2)}")
+        self._positions[:] = positions
+        self._velocities[:] = velocities
+        self._trunk[0], self._trunk[1] = pitch, pitch_rate
+        if not math.isfinite(np.dot(self._known, self._known)):
             raise ValueError("a reading is not a finite number")
-        np.maximum(seen, self._low, seen)
-        np.minimum(seen, self._high, seen_now, casting="same_kind")
-        action = self.act(seen_now)
-        self._recent[:-1] = self._recent[1:]
-        self._recent[-1] = action
-        self._before[:] = self._goal
-        self._goal += self._recent[-1] * self._travel
-        np.maximum(self._goal, self._least, self._goal)
-        np.minimum(self._goal, self._most, self._goal)
-        np.multiply(self._goal[:, None], self._mirror, self._both)
-        return self._both
+        seen = np.dot(self._sight, self._known, out=self._seen)
+        np.maximum(seen, self._low, out=seen)
+        np.minimum(seen, self._high, out=self.observation, casting="same_kind")
+        action, goal = self.act(self.observation), self._goal
+        if len(self._recent) > 1:
+            self._recent[:-1] = self._recent[1:]
+        self._newest[:] = action
+        self._before[:] = goal
+        goal += np.multiply(self._newest, self._travel, out=self._change)
+        np.maximum(goal, self._least, out=goal)
+        np.minimum(goal, self._most, out=goal)
+        np.multiply(self._goal_column, self._mirror, out=self._commands)
+        return self._commands
 
     def between(self, share: float) -> Floats:
         """Joint angles when a share (0 to 1) of the period has passed [rad], shape (n, 2)."""
         return np.asarray((self._before + share * (self._goal - self._before))[:, None] * self._mirror)
-
-
-_HALF = np.array([0.5, 0.5])
 
 
 def pitch_of(w: float, x: float, y: float, z: float) -> float:

@@ -2,6 +2,8 @@
 
 import copy
 import shutil
+from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import mujoco
@@ -9,8 +11,11 @@ import numpy as np
 import pytest
 import yaml
 
+from frasa_rl.config import Task
+from frasa_rl.policy import Policy
 from frasa_rl.simulation import Start, fresh, state_of
 from frasa_rl.standup_env import StandUp
+from frasa_rl.task_text import task_data
 from frasa_sysid.calibration import Calibration, Range, hold_history
 
 MEASURED = Calibration(
@@ -23,6 +28,22 @@ MEASURED = Calibration(
         "sensor.gyro_delay": Range(0.020, 0.025, 0.030, "s", "a test"),
     },
 )
+
+
+@pytest.fixture(scope="session")
+def random_policy() -> Callable[..., Policy]:
+    """Makes a policy of the Sigmaban's task that moves all joints and saturates now and then."""
+
+    def make(*hidden: int, inputs: int = 22, run: dict[str, object] | None = None) -> Policy:
+        rng = np.random.default_rng(0)
+        layers = tuple(
+            ((rng.normal(size=(to, of)) / np.sqrt(of)).astype(np.float32), rng.normal(size=to).astype(np.float32))
+            for of, to in pairwise((inputs, *hidden, 5))
+        )
+        said = {"task": task_data(Task()), "calibration_id": None, "settings": {"seed": 3}, "trained": {"steps": 10}}
+        return Policy(layers, {**said, **(run or {})})
+
+    return make
 
 
 @pytest.fixture

@@ -47,6 +47,10 @@ def test_a_missing_policy_is_named(tmp_path):
         ("run.yaml", b"- a list", "expected a mapping"),
         ("run.yaml", b"{", "not YAML"),
         ("run.yaml", b"!!python/object/apply:os.getcwd []", "not YAML"),
+        ("run.yaml", b"a: &a [1]\nb: *a", "holds an alias"),
+        ("run.yaml", b"a: 1\n" * 300_000, "larger than 1 MiB"),
+        ("run.yaml", b"[" * 5000, "not YAML"),
+        ("run.yaml", b"\xff\xfe", "not YAML"),
     ],
 )
 def test_broken_files_are_refused(tmp_path, file, content, message):

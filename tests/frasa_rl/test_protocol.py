@@ -100,6 +100,30 @@ def test_a_stand_up_is_timed_from_its_first_movement(rate):
     assert [trial.time_s for trial in done[3:]] == [None] * 3
 
 
+class Watched(PolicyController):
+    """A policy whose first observation is kept."""
+
+    def act(self, observation):
+        self.first = getattr(self, "first", np.degrees(observation[:, 2].astype(float)))
+        return super().act(observation)
+
+
+@pytest.mark.parametrize("rate", [20.0, 100.0])
+def test_the_same_policy_runs_at_every_rate(rate):
+    """A neck that a policy turns home at tanh(-0.2 command) of the rate limit is there when that rule says."""
+    layers = ((np.array([[0, 0, -0.2, 0, 0, 0]], dtype=np.float32), np.zeros(1, dtype=np.float32)),)
+    controller = Watched(Policy(layers, {}), "p")
+    trials = run_standup(controller, Conditions(BOX, LYING_TASK, rate), 3, sides=["prone"])
+    for trial, begin in zip(trials, np.radians(controller.first), strict=True):
+        times, commands = [0.0], [begin]
+        while abs(commands[-1]) > np.radians(1.0):
+            commands.append(commands[-1] - np.tanh(0.2 * commands[-1]) * BOX_TASK.rate_limit / rate)
+            times.append(times[-1] + 1.0 / rate)
+        assert abs(begin) > np.radians(6.0)
+        expected = np.interp(-np.radians(5.0), -np.abs(commands), times)
+        assert trial.time_s == pytest.approx(expected, abs=0.015)
+
+
 @pytest.mark.parametrize("rate", [20.0, 100.0])
 def test_instability_is_timed_from_deviation_to_stability(tmp_path, rate):
     """Leaves at 50 deg/s, stays away, comes back: 5 deg are passed at 3.1 s and at 4.3 s."""
