@@ -175,7 +175,8 @@ def metadata(deploy: dict[str, Any]) -> dict[str, str]:
     """
     joints, parts = deploy["joints"], deploy["observation"]
     servos = {one["joint"]: one for one in deploy["servos"]}
-    pairs = [(joint, joint[side], sign) for joint in joints for side, sign in (("left", 1), ("right", joint["mirror"]))]
+    both = [(joint, joint[side], sign) for joint in joints for side, sign in (("left", 1), ("right", joint["mirror"]))]
+    pairs = list({one[1]: one for one in reversed(both)}.values())[::-1]  # a joint on the midline stands once
     names = [name for _, name, _ in pairs]
     lists = {
         "joint_names": names,
@@ -184,6 +185,7 @@ def metadata(deploy: dict[str, Any]) -> dict[str, str]:
         "joint_viscous_friction": [servos[name]["damping"] for name in names],
         "joint_torque_limit": [servos[name]["force_high"] for name in names],
         "joint_mirror": [sign for _, _, sign in pairs],
+        "joint_actions": [joints.index(joint) for joint, _, _ in pairs],
         "joint_command_low": [servos[name]["command_low_rad"] for name in names],
         "joint_command_high": [servos[name]["command_high_rad"] for name in names],
         "joint_command_delay": [servos[name]["delay_s"] for name in names],

@@ -188,7 +188,8 @@ class Runtime:
         """One decision; the next call overwrites what this one returned.
 
         Args:
-            positions: joint angles on the left and the right [rad], shape (n, 2), in the robot's own signs.
+            positions: joint angles on the left and the right [rad], shape (n, 2), in the robot's own signs; a joint
+                on the midline stands on both sides.
             velocities: of the joints [rad/s], shape (n, 2).
             pitch: of the trunk, forward positive [rad] (`pitch_of`).
             pitch_rate: angular rate about the trunk's own y axis, which points left [rad/s].

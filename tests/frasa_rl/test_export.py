@@ -2,14 +2,15 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
 from frasa_rl.cli import main
-from frasa_rl.config import Task
-from frasa_rl.deployment import compiled_sha256, deployment
+from frasa_rl.config import Joint, Names, Task
+from frasa_rl.deployment import compiled_sha256, deployment, metadata
 from frasa_rl.export import check_published, publish
 from frasa_rl.policy import Policy
 from frasa_rl.runtime import Network, Runtime, read_weights
@@ -107,6 +108,7 @@ def test_the_onnx_file_is_old_enough_and_described(nominal, tmp_path, random_pol
     for name in ("stiffness", "damping", "mirror", "torque_limit", "command_low", "command_high", "command_delay"):
         assert len([float(one) for one in lists[f"joint_{name}"]]) == 10, name
     assert lists["joint_stiffness"][4] == "21.0"
+    assert lists["joint_actions"] == [str(index) for index in (0, 0, 1, 1, 2, 2, 3, 3, 4, 4)]
     np.testing.assert_allclose([float(one) for one in lists["default_joint_pos"][6:8]], np.radians(79.0))
     assert lists["observation_names"] == ["position", "velocity", "command", "pitch", "pitch_rate", "previous_action"]
     assert lists["observation_terms_clip"][1] == "-30;30"
@@ -135,6 +137,17 @@ def test_the_description_is_the_models(calibrated):
     moved = {side for one in deploy["joints"] for side in (one["left"], one["right"])}
     assert moved | set(deploy["held"]) == {one["joint"] for one in deploy["servos"]}
     assert not moved & set(deploy["held"])
+
+
+def test_a_joint_on_the_midline_stands_once():
+    """Another robot: one waist, moved by one action; all lists of joints are as long as their names."""
+    path = Path(__file__).with_name("box_robot.xml")
+    names = Names("torso", "ground", "{}", "{}", None, None, None, None, None)
+    task = Task(joints=(Joint("neck", 0.0),), target_pitch_deg=0.0, held_deg=(), names=names)
+    deploy = {**deployment({}, task, path), "frasa_version": "0"}
+    said = metadata(deploy)
+    assert (said["joint_names"], said["joint_actions"], said["held_joint_names"]) == ("neck", "0", "")
+    assert [one["left"] == one["right"] == "neck" for one in deploy["joints"]] == [True]
 
 
 def test_the_hash_is_the_runs(nominal):
