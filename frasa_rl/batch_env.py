@@ -10,12 +10,12 @@ from frasa_rl import reward
 from frasa_rl.batch import Batch
 from frasa_rl.compat2024 import EXTRA_STEPS
 from frasa_rl.config import Task
+from frasa_rl.falls import trunk_heights
 from frasa_rl.observation import Observation
 from frasa_rl.robot import Floats
 from frasa_rl.simulation import Start
 
 Flags = npt.NDArray[np.bool_]
-TERMS = ("posture", "action", "variation", "self_contact")
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Outcome:
     Attributes:
         observation: shape (count, 22); of a robot that diverged, the one before.
         reward: shape (count,).
-        terms: of the reward by name, shape (4, count), in the order of `TERMS`.
+        terms: of the reward by name, shape (6, count), in the order of `reward.TERMS`; the paper's first.
         terminated: fallen, too fast or diverged, shape (count,).
         truncated: time is up, shape (count,).
         success: standing for long enough, shape (count,).
@@ -63,6 +63,8 @@ class StandUpBatch:
         self.drawn: list[dict[str, float]] = [{} for _ in range(count)]
         n = len(task.joints)
         self._last = np.zeros((count, n))
+        self._floor, standing = trunk_heights(model, self.batch.robot, task)
+        self._standing_height = standing - self._floor
         self._steps = np.zeros(count, dtype=np.int64)
         self._standing = np.zeros(count, dtype=np.int64)
         longest = round(task.episode_s / task.control_period_s)
@@ -116,12 +118,16 @@ class StandUpBatch:
 
     def _terms(self, errors: Floats, previous: Floats) -> Floats:
         weights, limit = self.task.reward, self.task.rate_limit
+        high = reward.height_share(self.batch.now.height - self._floor, self._standing_height)
+        upright = reward.upright_share(errors[:, -1])
         return np.stack(
             [
                 reward.posture(weights, errors),
                 reward.action(weights, self._last * limit),
                 reward.variation(weights, self._last * limit, previous * limit),
                 reward.self_contact(weights, self.batch.now.contact),
+                reward.rising(weights, high, upright),
+                reward.approach(weights, high, upright, errors),
             ]
         )
 

@@ -1,6 +1,6 @@
 """What a task is made of beside its numbers: moved joints, names in the model, physics settings, reward weights."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal
 
 from frasa_rl.config_checks import TaskError, name_of, one_of, pattern, within
@@ -107,14 +107,17 @@ class Physics:
 
 @dataclass(frozen=True)
 class Reward:
-    """Weights and slopes of the four terms; all are positive, so ending early only loses.
+    """Weights and slopes of the terms; all are positive, so ending early only loses.
 
     Attributes:
         posture: weight of being near the standing pose.
         action: weight of small rates.
         variation: weight of steady rates.
         self_contact: weight of parts not touching each other.
+        rising: weight of a high and upright trunk, whatever the joints do; not in the paper. Training's own (Settings).
+        approach: weight of the standing pose from further away, once the trunk is high and upright; likewise.
         posture_slope: slope of the posture term [1/rad^2].
+        approach_slope: slope of the approach term [1/rad^2].
         action_slope: slope of the action and variation terms [s/rad].
         contact_slope: slope of the self-contact term [1/N].
     """
@@ -123,13 +126,15 @@ class Reward:
     action: float = 0.10  # in the published environment, absent from the paper
     variation: float = 0.05
     self_contact: float = 0.10
+    rising: float = 0.0
+    approach: float = 0.0
     posture_slope: float = 20.0
+    approach_slope: float = 2.0
     action_slope: float = 1.0
     contact_slope: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("posture", "action", "variation", "self_contact", "posture_slope", "action_slope"):
-            within(name, getattr(self, name), 0.0, 1e4)
-        within("contact_slope", self.contact_slope, 0.0, 1e4)
+        for one in fields(self):
+            within(one.name, getattr(self, one.name), 0.0, 1e4)
         if self.posture == 0.0:
             raise TaskError("posture is 0: expected a weight above zero, or nothing rewards standing")

@@ -88,6 +88,14 @@ def let_go(
         how: joints and pitch.
         drawn: what was randomized.
     """
+    _pose(model, data, robot, how, task.release_height)
+    hold_history(model, data)
+    ages = fresh(model)
+    return Start(model, state_of(model, data), data.ctrl.copy(), data.sensordata.copy(), ages, drawn)
+
+
+def _pose(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, how: Release, gap: float) -> None:
+    """Put the robot in a pose, its lowest point a gap [m] above the floor."""
     mujoco.mj_resetData(model, data)
     data.ctrl[:] = robot.held
     data.ctrl[robot.actuators] = robot.both_sides(how.joints)
@@ -96,11 +104,15 @@ def let_go(
     root = robot.root_qpos
     data.qpos[root : root + 7] = (0.0, 0.0, 1.0, np.cos(how.pitch / 2), 0.0, np.sin(how.pitch / 2), 0.0)
     mujoco.mj_kinematics(model, data)
-    floor = data.geom_xpos[robot.floor, 2]
-    data.qpos[root + 2] += floor + task.release_height - lowest_point(model, data, robot)
-    hold_history(model, data)
-    ages = fresh(model)
-    return Start(model, state_of(model, data), data.ctrl.copy(), data.sensordata.copy(), ages, drawn)
+    data.qpos[root + 2] += data.geom_xpos[robot.floor, 2] + gap - lowest_point(model, data, robot)
+
+
+def trunk_heights(model: mujoco.MjModel, robot: Robot, task: Task) -> tuple[float, float]:
+    """Where the floor is, and the trunk in the standing pose [m], both in the world."""
+    data = mujoco.MjData(model)
+    joints, pitch = standing(task)
+    _pose(model, data, robot, Release(joints, pitch, 0.0), 0.0)
+    return float(data.geom_xpos[robot.floor, 2]), float(data.qpos[robot.root_qpos + 2])
 
 
 def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot) -> float:

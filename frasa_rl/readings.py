@@ -18,6 +18,7 @@ class Truth:
         quaternion: of the trunk, w x y z, shape (count, 4).
         turning: angular rate of the trunk in its own axes [rad/s], shape (count, 3).
         contact: sum of the forces between parts of a robot [N], one physics step old, shape (count,).
+        height: of the trunk in the world [m], shape (count,).
     """
 
     positions: Floats
@@ -25,6 +26,7 @@ class Truth:
     quaternion: Floats
     turning: Floats
     contact: Floats
+    height: Floats
 
     @property
     def pitch(self) -> Floats:
@@ -52,6 +54,7 @@ def truth(robot: Robot, sim: Simulation) -> Truth:
         quaternion=sim.qpos[:, root : root + 4].copy(),
         turning=sim.qvel[:, free : free + 3].copy(),
         contact=np.linalg.norm(forces, axis=2).sum(axis=1),
+        height=sim.qpos[:, robot.root_qpos + 2].copy(),
     )
 
 

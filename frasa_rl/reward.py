@@ -1,4 +1,4 @@
-"""The four terms of the reward, each a pure function of what is true (undelayed) in the simulation.
+"""The terms of the reward, each a pure function of what is true (undelayed) in the simulation.
 
     posture       exp(-20 |psi - psi*|^2)   psi: 5 joint angles, mean of both sides, and the trunk pitch [rad]
     action        0.10 exp(-|a|)            a: commanded joint rates [rad/s]; in the published code, not in the paper
@@ -6,6 +6,15 @@
     self_contact  0.10 exp(-sum of forces)  contact forces between parts of the robot [N]: nearly 1 or 0
 
 At most 1.25 a step. Arrays of any leading shape. Source: FRASA, arXiv 2410.08655, and its published environment.
+
+Away from the standing pose these are flat: 25 deg off in pitch alone, the posture term is 0.02. Two more, with weights
+of 0 unless a training preset says otherwise, lead there:
+
+    rising        0.3 h + 0.7 u (0.3 + 0.7 h)      h: height of the trunk, u: how upright it is, both from 0 to 1
+    approach      h u exp(-2 |psi - psi*|^2)
+
+They know where standing is and nothing of the way: no expert, no key pose. What they change is measured in
+`tests/benchmarks/bench_recipe.py`.
 """
 
 import numpy as np
@@ -13,6 +22,10 @@ import numpy as np
 from frasa_rl.config import Reward, Task
 from frasa_rl.readings import Truth
 from frasa_rl.robot import Floats, Robot
+
+_LYING = 0.25  # share of the standing height at which a trunk lies flat
+PAPER_TERMS = ("posture", "action", "variation", "self_contact")
+TERMS = (*PAPER_TERMS, "rising", "approach")
 
 
 def target(task: Task) -> Floats:
@@ -44,3 +57,33 @@ def variation(weights: Reward, rates: Floats, previous: Floats) -> Floats:
 def self_contact(weights: Reward, force: Floats) -> Floats:
     """Largest when no part of the robot touches another, from the sum of forces [N]."""
     return np.asarray(weights.self_contact * np.exp(-weights.contact_slope * force))
+
+
+def height_share(height: Floats, standing: float) -> Floats:
+    """How high the trunk is, from 0 (lying: a quarter of the standing height) to 1 (standing or higher).
+
+    Args:
+        height: of the trunk above the floor [m], shape (...,).
+        standing: the same in the standing pose [m].
+    """
+    return np.asarray(np.clip((height / standing - _LYING) / (1.0 - _LYING), 0.0, 1.0))
+
+
+def upright_share(pitch_error: Floats) -> Floats:
+    """How upright the trunk is, from 0 (upside down) to 1, from the pitch error [rad], shape (...,).
+
+    Half of it has a slope everywhere, the other half only within some 40 deg, so that leaning on the arms
+    (50 deg) is worth well below standing.
+    """
+    return np.asarray(0.25 * (1.0 + np.cos(pitch_error)) + 0.5 * np.exp(-4.0 * pitch_error**2))
+
+
+def rising(weights: Reward, high: Floats, upright: Floats) -> Floats:
+    """Largest for a trunk as high and as upright as standing, from both shares, shape (...,) each."""
+    return np.asarray(weights.rising * (0.3 * high + 0.7 * upright * (0.3 + 0.7 * high)))
+
+
+def approach(weights: Reward, high: Floats, upright: Floats, error: Floats) -> Floats:
+    """Largest in the standing pose, felt from further away than the posture term; errors of shape (..., 6)."""
+    near = np.exp(-weights.approach_slope * np.sum(error**2, axis=-1))
+    return np.asarray(weights.approach * high * upright * near)

@@ -12,12 +12,13 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from frasa_rl.batch_env import TERMS, Outcome, StandUpBatch
+from frasa_rl.batch_env import Outcome, StandUpBatch
 from frasa_rl.config import Task
 from frasa_rl.falls import Kind
 from frasa_rl.observation import Observation, bounds
 from frasa_rl.randomize import Randomizer
 from frasa_rl.render import Camera, Frame
+from frasa_rl.reward import TERMS
 from frasa_rl.robot import Floats
 from frasa_rl.simulation import set_state
 from frasa_rl.starts import StartMaker, compat_starts

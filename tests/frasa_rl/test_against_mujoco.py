@@ -9,7 +9,8 @@ import pytest
 
 from frasa_rl.batch import Batch
 from frasa_rl.batch_env import StandUpBatch
-from frasa_rl.config import Physics, Task
+from frasa_rl.config import Physics, Reward, Task
+from frasa_rl.falls import trunk_heights
 from frasa_rl.readings import read
 from frasa_rl.robot import pitch_of
 from frasa_rl.simulation import FULL
@@ -83,16 +84,20 @@ class Alone:
         q, v, quaternion, turning = found
         return q[:, :, 0], v[:, :, 0], pitch_of(quaternion[0, 0]), turning[0, 0, 1]
 
-    def rewards(self):
-        """The published formula on what is true."""
+    def rewards(self, standing):
+        """The published formula on what is true, and the two terms that lead up to the standing height [m]."""
         angles = self.data.qpos[self.robot.qpos].mean(axis=1)
         error = np.append(angles, pitch_of(self.data.qpos[3:7])) - TARGET
         rate, before = self.previous * 2 * np.pi, self.last * 2 * np.pi
+        high = min(max((self.data.qpos[2] / standing - 0.25) / 0.75, 0.0), 1.0)
+        upright = (1 + np.cos(error[5])) / 4 + np.exp(-4 * error[5] ** 2) / 2
         return [
             np.exp(-20 * np.sum(error**2)),
             0.1 * np.exp(-np.linalg.norm(rate)),
             0.05 * np.exp(-np.linalg.norm(rate - before)),
             0.1 * np.exp(-self.contact),
+            0.5 * (0.3 * high + 0.7 * upright * (0.3 + 0.7 * high)),
+            high * upright * np.exp(-2 * np.sum(error**2)),
         ]
 
 
@@ -152,10 +157,11 @@ def test_the_batch_is_a_loop_of_steps(robot_model_dir, name, delay, timestep, pe
 
 @pytest.mark.parametrize("name", ["nominal", "calibrated"])
 def test_rewards_are_the_formula_of_the_loop(robot_model_dir, name):
-    """States and all four terms of three robots, every step, and no robot that takes another's."""
-    task = Task()
+    """States and all six terms of three robots, every step, and no robot that takes another's."""
+    task = replace(Task(), reward=Reward(rising=0.5, approach=1.0))
     model, starts = falling_robots(robot_model_dir / f"{name}.xml", task, None)
     core = StandUpBatch(model, task, ROBOTS, threads=2)
+    standing = trunk_heights(model, core.batch.robot, task)[1]
     alone = [Alone(core.batch.robot, start) for start in starts]
     for index, start in enumerate(starts):
         core.begin(index, start)
@@ -165,8 +171,8 @@ def test_rewards_are_the_formula_of_the_loop(robot_model_dir, name):
         for i, one in enumerate(alone):
             one.act(action[i], 0.05)
             np.testing.assert_allclose(core.batch.sim.qpos[i], one.data.qpos, rtol=0, atol=1e-9)
-            np.testing.assert_allclose(out.terms[:, i], one.rewards(), rtol=0, atol=1e-9)
-            assert out.reward[i] == pytest.approx(sum(one.rewards()), abs=1e-9)
+            np.testing.assert_allclose(out.terms[:, i], one.rewards(standing), rtol=0, atol=1e-9)
+            assert out.reward[i] == pytest.approx(sum(one.rewards(standing)), abs=1e-9)
             touched.add(bool(one.contact > 0.0))
     assert touched == {True, False}
     core.close()

@@ -36,6 +36,40 @@ def test_self_contact():
     assert reward.self_contact(WEIGHTS, 2.0) == pytest.approx(0.1 * np.exp(-2.0))
 
 
+GUIDED = Reward(rising=0.5, approach=1.0)
+
+
+def test_rising():
+    """All of it high and upright, nothing flat on the back of the head; height and pitch each pay alone."""
+    assert reward.rising(GUIDED, 1.0, 1.0) == pytest.approx(0.5)
+    assert reward.rising(GUIDED, 0.0, 0.0) == 0.0
+    assert reward.rising(GUIDED, 1.0, 0.0) == pytest.approx(0.5 * 0.3)
+    assert reward.rising(GUIDED, 0.0, 1.0) == pytest.approx(0.5 * 0.7 * 0.3)
+
+
+def test_approach():
+    """h u exp(-2 |e|^2): felt half a radian away, where the posture term is under a hundredth."""
+    error = np.array([0.5, 0, 0, 0, 0, 0])
+    assert reward.approach(GUIDED, 1.0, 1.0, error) == pytest.approx(np.exp(-0.5))
+    assert reward.approach(GUIDED, 0.5, 0.5, error) == pytest.approx(0.25 * np.exp(-0.5))
+    assert reward.posture(GUIDED, error) < 0.01
+
+
+def test_height_and_uprightness():
+    """Lying flat and standing are 0 and 1; leaning on the arms at 50 deg is worth half of standing upright."""
+    np.testing.assert_allclose(reward.height_share(np.array([0.05, 0.08, 0.2, 0.32, 0.4]), 0.32), [0, 0, 0.5, 1, 1])
+    np.testing.assert_allclose(
+        reward.upright_share(np.radians([0.0, 50.0, 180.0])), [1.0, 0.4107 + 0.5 * np.exp(-4 * 0.7615), 0.0], atol=1e-3
+    )
+
+
+def test_the_height_is_that_of_the_trunk_over_the_floor(plain_env):
+    """In the standing pose the trunk is as high as standing, within what it sinks and settles."""
+    plain_env.reset(seed=0, options={"start": "target"})
+    core = plain_env.core
+    assert core.batch.now.height[0] - core._floor == pytest.approx(core._standing_height, abs=0.01)
+
+
 def test_forces_are_summed_over_contacts(plain_env, start_by_hand):
     """The self-contact force is the sum of the norms of all its slots."""
     plain_env.reset(seed=0)
@@ -59,11 +93,12 @@ def test_errors_use_both_sides_and_forward_pitch(plain_env, start_by_hand):
 
 
 def test_a_step_pays_the_sum_of_its_terms(plain_env):
-    """The reward is the sum of the four terms of the applied action in rad/s."""
+    """The reward is the sum of its terms of the applied action in rad/s."""
     plain_env.reset(seed=0, options={"start": "target"})
     action = np.array([0.05, 0, 0, 0, 0])
     _, paid, _, _, info = plain_env.step(action)
     assert paid == pytest.approx(sum(info["terms"].values()))
     assert info["terms"]["action"] == pytest.approx(0.10 * np.exp(-0.05 * 2 * np.pi))
     assert info["terms"]["variation"] == pytest.approx(0.05 * np.exp(-0.05 * 2 * np.pi))
-    assert set(info["terms"]) == {"posture", "action", "variation", "self_contact"}
+    assert set(info["terms"]) == set(reward.TERMS)
+    assert info["terms"]["rising"] == info["terms"]["approach"] == 0.0  # the paper has no such terms
