@@ -28,7 +28,7 @@ class Curriculum:
 
         Args:
             core: the robots after the step, none restarted: `core.batch.now` is the truth, `core.batch.errors()` how
-                far they are from the standing pose. Numbers of those that diverged may not be finite.
+                far they are from the standing pose. Of those that diverged no number may be finite; they earn nothing.
             before: the truth before the step.
             out: what the step brought; its `terms` are the task's.
         """

@@ -86,7 +86,7 @@ class Episodes:
         """Apply one action each in [-1, 1], shape (count, n), and restart the episodes that end."""
         before = self.core.batch.now
         out = self.core.step(actions)
-        reward = self.curriculum.reward(self.core, before, out)
+        reward = np.where(out.diverged, 0.0, self.curriculum.reward(self.core, before, out))
         over = out.terminated | out.truncated
         for place in np.flatnonzero(over):
             self._restart(int(place))

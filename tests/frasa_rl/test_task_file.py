@@ -209,7 +209,7 @@ def test_shares_of_starts_are_the_presets_unless_the_file_says_so(write):
 def test_training_as_the_published_environment_does(nominal, tmp_path, monkeypatch):
     """--compat frasa2024 runs, and run.yaml says what it is."""
     pytest.importorskip("sb3_contrib")
-    from frasa_rl.train import plan_of
+    from frasa_rl.plan import plan_of
 
     monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["quick"], pool=2, envs=2))
     words = ["train", "--model", str(nominal), "--steps", "16", "--out", str(tmp_path / "run")]
