@@ -94,6 +94,7 @@ class Sb3Learner:
 
     def __init__(self, model: CrossQ | SAC) -> None:
         self.model = model
+        self.log_to(Logger(None, []))
 
     @property
     def updates(self) -> int:

@@ -211,7 +211,7 @@ def test_training_as_the_published_environment_does(nominal, tmp_path, monkeypat
     pytest.importorskip("sb3_contrib")
     from frasa_rl.plan import plan_of
 
-    monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["quick"], pool=2, envs=2))
+    monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["quick"], pool=2, envs=2, rollout_steps=8, evaluate_falls=1))
     words = ["train", "--model", str(nominal), "--steps", "16", "--out", str(tmp_path / "run")]
     assert main([*words, "--compat", "frasa2024"]) == 0
     task = plan_of(tmp_path / "run").task
