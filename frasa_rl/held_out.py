@@ -78,9 +78,21 @@ class HeldOut:
         return self._sets[which]
 
     def run(self, policy: Policy, which: int) -> Result:
-        """Let a policy try all falls of a set, acting as it would on the robot."""
-        trials = self._falls.run([PolicyController(policy, "policy")], self.starts(which), [self._task.episode_s])[0]
-        times = np.array([one.time_s for one in trials])
+        """Let a policy try the falls of a set, acting as it would on the robot.
+
+        A quarter of each side is tried first: who stands up from none of them is not asked for the rest, because
+        trials that fail take the longest, and early in a run all do.
+        """
+        starts, each = self.starts(which), len(self._kinds) // 2
+        first = np.arange(len(starts)) % each < max(1, each // 4)
+        times = np.full(len(starts), np.nan)
+        for some in (first, ~first):
+            if some.any() and (some is first or np.isfinite(times).any()):
+                times[some] = self._times(policy, [start for start, one in zip(starts, some, strict=True) if one])
         prone, supine = np.isfinite(times).reshape(2, -1).mean(axis=1)
         known = times[np.isfinite(times)]
         return Result(float(prone), float(supine), float(known.mean()) if known.size else float("nan"))
+
+    def _times(self, policy: Policy, starts: list[Start]) -> list[float]:
+        trials = self._falls.run([PolicyController(policy, "policy")], starts, [self._task.episode_s])[0]
+        return [one.time_s for one in trials]

@@ -60,9 +60,13 @@ class Learner(Protocol):
 
 @runtime_checkable
 class TakesBatches(Protocol):
-    """An SB3 algorithm that takes all batches of a round at once."""
+    """An SB3 algorithm that can take many batches at once, where it is `fast`."""
 
-    def update(self, batches: Batches) -> None:
+    @property
+    def fast(self) -> bool:
+        """Whether it can as it is now."""
+
+    def update(self, batches: Batches) -> Any:  # noqa: ANN401 - its means of `critic`, `actor`, `entropy`
         """One gradient update on each batch."""
 
 
@@ -108,8 +112,12 @@ class Sb3Learner:
 
     def update(self, batches: Batches) -> None:
         """One gradient update on each batch."""
-        if isinstance(self.model, TakesBatches):
-            self.model.update(batches)
+        if isinstance(self.model, TakesBatches) and self.model.fast:
+            losses = self.model.update(batches)
+            told = {"critic_loss": losses.critic, "actor_loss": losses.actor, "ent_coef": losses.entropy}
+            for name, value in told.items():
+                if np.isfinite(value):
+                    self.model.logger.record(f"train/{name}", value)
             return
         many, size = batches.rewards.shape
         self.model.replay_buffer = cast(ReplayBuffer, _Given(batches, self.model.device))

@@ -45,18 +45,30 @@ def test_who_holds_still_does_not_stand_up(nominal, physics):
     assert (timestep == pytest.approx(0.00625)) == (physics == "fast")
 
 
-def test_shares_are_of_sides(nominal, monkeypatch):
-    """Successes are counted for each side, times over all of them."""
-    held_out = HeldOut(nominal, Task(), 2, "fast")
-    times = iter([2.0, np.nan, 3.0, 4.0])
+@pytest.mark.parametrize(
+    ("stands", "tried", "expected"),
+    [
+        ([0, 2, 5, 7], 8, Result(0.5, 0.5, 3.0)),
+        ([1, 2, 3, 5, 6, 7], 2, Result(0.0, 0.0, float("nan"))),  # none of the first of each side
+        ([4], 8, Result(0.0, 0.25, 3.0)),
+    ],
+)
+def test_shares_are_of_sides(nominal, monkeypatch, stands, tried, expected):
+    """Successes are counted for each side, times over all of them; hopeless policies are not asked for everything."""
+    held_out = HeldOut(nominal, Task(), 4, "fast")
+    starts, seen = held_out.starts(0), []
 
-    def run(self, controllers, starts, longest_s):
+    def run(self, controllers, some, longest_s):
         assert longest_s == [Task().episode_s]
-        return [[Trial(next(times), 0.1, False, 5.0) for _ in starts]]
+        places = [[one is start for one in starts].index(True) for start in some]
+        seen.extend(places)
+        return [[Trial(3.0 if place in stands else np.nan, 0.1, False, 5.0) for place in places]]
 
     monkeypatch.setattr("frasa_rl.fall_trials.Falls.run", run)
-    assert held_out.run(STILL, 0) == Result(0.5, 1.0, 3.0)
-    assert Result(0.5, 1.0, 3.0).success == 0.75
+    got = held_out.run(STILL, 0)
+    assert str(got) == str(expected)
+    assert got.success == (got.prone + got.supine) / 2
+    assert len(seen) == len(set(seen)) == tried
 
 
 def test_the_best_is_by_success_then_time_then_the_newer(tmp_path):

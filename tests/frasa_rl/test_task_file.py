@@ -190,12 +190,11 @@ def test_a_missing_file_says_where_to_look(tmp_path):
 
 def test_shares_of_starts_are_the_presets_unless_the_file_says_so(write):
     """And frasa2024 has none that fall; the settings that a run keeps say the same as its task."""
-    from frasa_rl.commands.train import _task_and_settings
+    from frasa_rl.commands.train import _SETTINGS, _task_and_settings
 
     def chosen(text, compat=None):
         args = argparse.Namespace(task=write(text) if text else None, compat=compat, preset="quick")
-        unset = dict.fromkeys(("envs", "threads", "physics"))
-        task, settings = _task_and_settings(argparse.Namespace(**vars(args), seed=1, **unset))
+        task, settings = _task_and_settings(argparse.Namespace(**vars(args), **dict.fromkeys(_SETTINGS)))
         assert (task.near_target_share, task.falling_share) == (settings.near_target_share, settings.falling_share)
         return task
 
