@@ -65,8 +65,13 @@ class Plan:
         return replace(self, steps=steps, minutes=minutes, until_success=until_success)
 
 
-def describe(plan: Plan) -> dict[str, Any]:
-    """What run.yaml says: all that determines the run, in plain data."""
+def describe(plan: Plan, curriculum: str = "Curriculum") -> dict[str, Any]:
+    """What run.yaml says: all that determines the run, in plain data.
+
+    Args:
+        plan: of the run.
+        curriculum: name of the class that chooses starts and pays; the default is the task as it is.
+    """
     model, task = load_model(plan.model), plan.task
     said: dict[str, Any] = plain(
         {
@@ -80,6 +85,7 @@ def describe(plan: Plan) -> dict[str, Any]:
             "device": plan.device,
             "seeds": {"training": plan.settings.seed, "held_out": SEED},
             "settings": asdict(plan.settings),
+            "curriculum": curriculum,
             "observation": [{"name": one.name, "size": one.size, "unit": one.unit} for one in layout(task)],
             "task": task_data(task),
             "versions": {
@@ -95,7 +101,8 @@ def describe(plan: Plan) -> dict[str, Any]:
 def mark_of(description: dict[str, Any]) -> str:
     """Hash of what a run comes to: runs with the same one can resume from each other's checkpoints."""
     settings = {name: one for name, one in description["settings"].items() if name not in _NO_MATTER}
-    said = [description["model_sha256"], description["calibration_id"], description["task"], settings]
+    names = ("model_sha256", "calibration_id", "task", "curriculum")
+    said = [*(description[name] for name in names), settings]
     return sha256_of(yaml.safe_dump(said).encode())
 
 

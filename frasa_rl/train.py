@@ -62,7 +62,7 @@ def train(plan: Plan, *, resume: bool = False, curriculum: Curriculum | None = N
         raise UsageError("a run needs an end: give --minutes, --steps or --until-success")
     if plan.until_success is not None and not plan.settings.evaluate_steps:
         raise UsageError("--until-success needs evaluations: give --evaluate-steps more than 0")
-    description = describe(plan)
+    description = describe(plan, type(curriculum or Curriculum()).__name__)
     if resume:
         _check_same(description, read_run(plan.out / RUN_FILE))
     elif (plan.out / RUN_FILE).exists():
@@ -182,6 +182,7 @@ class _Run:
             if np.isfinite(getattr(got, name)):
                 self._logger.record(f"held_out/{name}", getattr(got, name))
         self._logger.record("run/evaluation_s", time.monotonic() - begun)
+        self._logger.dump(self._loop.steps)
         self._remark()
 
     @property

@@ -13,6 +13,7 @@ import yaml
 pytest.importorskip("sb3_contrib")
 
 from frasa_rl.checkpoint import CheckpointError, load_checkpoint
+from frasa_rl.curriculum import Shares
 from frasa_rl.held_out import SEED, HeldOut, Result
 from frasa_rl.plan import Plan, describe, mark_of, plan_of
 from frasa_rl.policy import Policy
@@ -167,6 +168,22 @@ def test_a_run_is_not_overwritten(trained):
     """A second run into the same folder is refused."""
     with pytest.raises(UsageError, match="already holds a run"):
         train(trained)
+
+
+def test_what_is_no_run_yet_is_begun_anew(plan):
+    """A run killed before it had a run.yaml leaves nothing that a new one would take for its own."""
+    (plan.out / "checkpoints" / "000000999").mkdir(parents=True)
+    train(replace(plan, steps=20))
+    assert [one.name for one in (plan.out / "checkpoints").iterdir()] == ["000000020"]
+
+
+def test_another_curriculum_is_another_run(plan):
+    """run.yaml names it, and a run is not continued without it."""
+    train(replace(plan, steps=20), curriculum=Shares(1.0, 0.0, 0.0))
+    assert yaml.safe_load((plan.out / "run.yaml").read_text())["curriculum"] == "Shares"
+    with pytest.raises(CheckpointError, match="another model, task, or settings"):
+        train(replace(plan, steps=40), resume=True)
+    assert train(replace(plan, steps=40), resume=True, curriculum=Shares(0.0, 1.0, 0.0))["steps"] == 40
 
 
 def test_a_run_needs_an_end(plan):
