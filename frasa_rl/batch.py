@@ -1,5 +1,8 @@
 """The task's physics for many robots: actions in; truths, readings and observations out. No rewards, no ends."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import mujoco
 import numpy as np
 
@@ -10,8 +13,11 @@ from frasa_rl.readings import Truth, read, truth
 from frasa_rl.reward import errors
 from frasa_rl.robot import Floats, find_robot
 from frasa_rl.simulation import Simulation, Start
+from frasa_rl.snapshots import Arrays, nested, part, put_back, taken
 from frasa_rl.task_model import substeps
 from frasa_sysid.calibration import UsageError
+
+_KEPT = ("commands", "held", "fastest", "_recent", "_ages")
 
 
 def _parts_and_steps(all_steps: int, task: Task, period_s: float) -> tuple[int, int]:
@@ -113,6 +119,19 @@ class Batch:
         else:
             readings, action = read(self.robot, self.sim, self.now, self._ages), self._recent.mean(axis=0)
         self.observation = observe(self.robot, readings, self.commands, action, self._bounds)
+
+    def snapshot(self) -> Arrays:
+        """All robots as they are, for a checkpoint; which models they have is not part of it."""
+        old = {} if self._old is None else nested("old", self._old.snapshot())
+        return {**taken(self, _KEPT), **nested("sim", self.sim.snapshot()), **old}
+
+    def restore(self, kept: Mapping[str, np.ndarray[Any, Any]]) -> None:
+        """The other way round, after every robot was `put` with its model."""
+        put_back(self, _KEPT, kept)
+        self.sim.restore(part("sim", kept))
+        if self._old is not None:
+            self._old.restore(part("old", kept))
+        self.look()
 
     def errors(self) -> Floats:
         """Joint errors and pitch error to the standing pose [rad], shape (count, 6)."""

@@ -1,6 +1,8 @@
 """The stand-up task with its rewards and ends, for many robots; what both environments are made of."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -14,8 +16,10 @@ from frasa_rl.falls import trunk_heights
 from frasa_rl.observation import Observation
 from frasa_rl.robot import Floats
 from frasa_rl.simulation import Start
+from frasa_rl.snapshots import Arrays, nested, part, put_back, taken
 
 Flags = npt.NDArray[np.bool_]
+_KEPT = ("_last", "_steps", "_standing")
 
 
 @dataclass(frozen=True)
@@ -136,6 +140,20 @@ class StandUpBatch:
         now = self.batch.now
         fallen = np.abs(np.degrees(now.pitch)) > self.task.end_pitch_deg
         return np.asarray(fallen | (np.abs(now.turning[:, 1]) > self.task.end_gyro))
+
+    def snapshot(self) -> Arrays:
+        """All episodes as they are, for a checkpoint; which starts they had is not part of it."""
+        return {
+            **taken(self, _KEPT),
+            "divergences": np.array(self.divergences),
+            **nested("batch", self.batch.snapshot()),
+        }
+
+    def restore(self, kept: Mapping[str, np.ndarray[Any, Any]]) -> None:
+        """The other way round, after every robot's episode was begun from its start."""
+        put_back(self, _KEPT, kept)
+        self.divergences = int(kept["divergences"])
+        self.batch.restore(part("batch", kept))
 
     def close(self) -> None:
         """End the threads."""

@@ -24,9 +24,10 @@ file of them made earlier, where we settle each when it is asked for.
 
 import copy
 import random
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import pi
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -37,6 +38,7 @@ from frasa_rl.falls import Release, let_go, standing
 from frasa_rl.readings import Readings, Truth
 from frasa_rl.robot import Floats, Robot
 from frasa_rl.simulation import Simulation, Start, fresh
+from frasa_rl.snapshots import Arrays, put_back, taken
 from frasa_sysid.calibration import UsageError, number
 
 VELOCITY_WINDOW_S = 0.030
@@ -44,13 +46,17 @@ TIME_RATIO = (0.98, 1.02)
 NEAR_SHARE = 0.10
 SETTLE_S, HEIGHT, SITE = 2.0, 0.4, "trunk"
 SQUAT = {"hip_pitch": -1.0, "knee": 2.0, "ankle_pitch": -1.0}  # one offset bends the whole leg of a start near the pose
+_REMEMBERED = ("pitch", "rate", "velocity", "last", "shown", "new")
 EXTRA_STEPS = 1  # an episode ends after its time has passed, not when it is reached
 
 
 def compat_task(task: Task) -> Task:
     """The task as the published environment has it: its physics, its steps, its errors."""
     physics = Physics(timestep=0.002, integrator="euler")
-    return replace(task, compat="frasa2024", physics=physics, near_target_share=NEAR_SHARE, falling_share=0.0)
+    reward = replace(task.reward, rising=0.0, approach=0.0)
+    return replace(
+        task, compat="frasa2024", physics=physics, near_target_share=NEAR_SHARE, falling_share=0.0, reward=reward
+    )
 
 
 @dataclass
@@ -81,6 +87,14 @@ class Memory:
         """Another robot: its histories are filled with what is, its turning rate with zeros."""
         self.rate[index] = self.velocity[index] = self.last[index] = self.shown[index] = 0.0
         self.new[index] = True
+
+    def snapshot(self) -> Arrays:
+        """All of it, for a checkpoint."""
+        return taken(self, _REMEMBERED)
+
+    def restore(self, kept: Mapping[str, np.ndarray[Any, Any]]) -> None:
+        """The other way round."""
+        put_back(self, _REMEMBERED, kept)
 
     def keep(self, sim: Simulation, robot: Robot, before: Truth, actions: Floats) -> None:
         """Remember a control step: the truth before it, the path through it, the actions applied in it."""
@@ -138,7 +152,7 @@ class CompatStarts:
         if random.random() < task.near_target_share:  # B8: the process' own generator
             (pose, pitch), deeper = standing(task), random.uniform(-1.0, 1.0) * task.near_target_spread
             offsets = [deeper * SQUAT.get(one.name, 0.0) for one in task.joints]
-            return Release(np.clip(pose + offsets, *robot.limits.T), pitch, SETTLE_S)
+            return Release(np.clip(pose + offsets, *robot.limits.T), pitch, SETTLE_S, "target")
         joints = np.clip([random.uniform(-pi, pi) for _ in task.joints], *robot.limits.T)
         return Release(joints, random.uniform(-half, half), SETTLE_S)
 

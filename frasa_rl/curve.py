@@ -4,7 +4,7 @@ from pathlib import Path
 
 from frasa_rl.config import Task
 from frasa_rl.policy import RUN_FILE, read_run
-from frasa_rl.progress import COLUMNS, CSV_FILE, read_progress
+from frasa_rl.tables import EVALUATIONS, PROGRESS
 from frasa_rl.task_file import task_from
 
 
@@ -23,17 +23,17 @@ def _task_of(run: Path) -> Task:
 
 
 def draw_curve(run: Path) -> Path | None:
-    """Return and share of episodes ending upright against minutes, from progress.csv; None without rows.
+    """Return and shares of episodes and held-out falls ending upright against minutes; None without rows.
 
     Raises:
         ModuleNotFoundError: matplotlib is not installed.
     """
     from matplotlib.figure import Figure  # no pyplot: no window, no global state
 
-    rows = read_progress(run / CSV_FILE)
+    rows = PROGRESS.read(run)
     if not rows:
         return None
-    columns = dict(zip(COLUMNS, zip(*rows, strict=True), strict=True))
+    columns = dict(zip(PROGRESS.columns, zip(*rows, strict=True), strict=True))
     figure = Figure(figsize=(7.0, 4.0), layout="constrained")
     left = figure.subplots()
     left.plot(columns["minutes"], columns["return"], color="tab:blue")
@@ -44,7 +44,15 @@ def draw_curve(run: Path) -> Path | None:
     left.set(xlabel="training time [min]", ylabel=f"return of an episode (at most {most:.0f})", title=run.name)
     left.grid(alpha=0.3)
     right = left.twinx()
-    right.plot(columns["minutes"], [100.0 * one for one in columns["success"]], color="tab:green")
+    right.plot(columns["minutes"], [100.0 * one for one in columns["success"]], color="tab:green", label="training")
+    evaluated = dict(zip(EVALUATIONS.columns, zip(*EVALUATIONS.read(run), strict=True), strict=False))
+    for side, mark in (("prone", "v"), ("supine", "^")):
+        if evaluated:
+            shares = [100.0 * one for one in evaluated[f"success_{side}"]]
+            right.plot(
+                evaluated["minutes"], shares, color="tab:red", lw=0.8, marker=mark, ms=4, label=f"held-out, {side}"
+            )
+    right.legend(loc="upper left")
     right.set(ylabel="episodes that end standing [%]", ylim=(-2, 102))
     path = run / "learning_curve.png"
     figure.savefig(path, dpi=120)

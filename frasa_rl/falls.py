@@ -29,11 +29,13 @@ class Release:
         joints: commands of the moved joints, seen from the left [rad], shape (n,).
         pitch: trunk pitch [rad].
         settle_s: longest time before the episode starts [s].
+        kind: which of the kinds it is.
     """
 
     joints: Floats
     pitch: float
     settle_s: float
+    kind: Kind = "random"
 
 
 def draw_release(robot: Robot, task: Task, rng: Generator, kind: Kind = "any") -> Release:
@@ -53,13 +55,15 @@ def _near_target(robot: Robot, task: Task, rng: Generator) -> Release:
     """The standing pose with a small offset on every joint."""
     offsets = rng.uniform(-task.near_target_spread, task.near_target_spread, len(task.joints))
     pose, pitch = standing(task)
-    return Release(np.clip(pose + offsets, robot.limits[:, 0], robot.limits[:, 1]), pitch, task.settle_max_s)
+    joints = np.clip(pose + offsets, robot.limits[:, 0], robot.limits[:, 1])
+    return Release(joints, pitch, task.settle_max_s, "target")
 
 
 def _falling(robot: Robot, task: Task, rng: Generator) -> Release:
     """Anywhere between the standing pose and a random start, released and caught in mid-fall."""
     (pose, pitch), other, share = standing(task), _random(robot, task, rng, "random"), rng.random()
-    return Release(pose + share * (other.joints - pose), pitch + share * (other.pitch - pitch), task.falling_s)
+    joints, pitch = pose + share * (other.joints - pose), pitch + share * (other.pitch - pitch)
+    return Release(joints, pitch, task.falling_s, "falling")
 
 
 def _random(robot: Robot, task: Task, rng: Generator, kind: Kind) -> Release:
@@ -67,7 +71,7 @@ def _random(robot: Robot, task: Task, rng: Generator, kind: Kind) -> Release:
     half = task.start_pitch_deg
     pitch = rng.uniform(*{"prone": (60.0, 90.0), "supine": (-90.0, -60.0)}.get(kind, (-half, half)))
     joints: Floats = rng.uniform(robot.limits[:, 0], robot.limits[:, 1])
-    return Release(joints, float(np.radians(pitch)), task.settle_max_s)
+    return Release(joints, float(np.radians(pitch)), task.settle_max_s, kind)
 
 
 def standing(task: Task) -> tuple[Floats, float]:
@@ -91,7 +95,7 @@ def let_go(
     _pose(model, data, robot, how, task.release_height)
     hold_history(model, data)
     ages = fresh(model)
-    return Start(model, state_of(model, data), data.ctrl.copy(), data.sensordata.copy(), ages, drawn)
+    return Start(model, state_of(model, data), data.ctrl.copy(), data.sensordata.copy(), ages, drawn, kind=how.kind)
 
 
 def _pose(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, how: Release, gap: float) -> None:

@@ -13,8 +13,8 @@ from time import monotonic
 import numpy as np
 from cmaes import CMA
 
+from frasa_rl.fall_trials import Falls, Trial
 from frasa_rl.keyframe import KeyframeController
-from frasa_rl.keyframe_trials import Falls, Trial
 from frasa_rl.protocol import SIDES, Side
 from frasa_rl.robot import Floats
 from frasa_rl.routine import LONGEST_S, Key, Keyframes, Routine

@@ -1,132 +1,229 @@
-"""CrossQ of sb3-contrib as it stands: built from our settings, saved and restored, turned into a plain policy."""
+"""Learners: what the training loop asks of one, and CrossQ and SAC of stable-baselines3 as such."""
 
-import random
-from collections.abc import Callable
-from typing import Any
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol, cast, runtime_checkable
 
+import gymnasium
 import numpy as np
 import torch
+from gymnasium import spaces
 from sb3_contrib import CrossQ
 from sb3_contrib.common.torch_layers import BatchRenorm1d
+from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import ReplayBuffer
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.type_aliases import ReplayBufferSamples
 
-from frasa_rl.policy import Array, Policy
+from frasa_rl.actor import ActorLayers, Layer
+from frasa_rl.batches import Batches
+from frasa_rl.observation import Observation
+from frasa_rl.policy import Array
 from frasa_rl.settings import Settings
+from frasa_rl.snapshots import Arrays
 from frasa_sysid.calibration import UsageError
 
-_BUFFER_FIELDS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+class Learner(Protocol):
+    """Learns from batches; a run keeps and restores all of it."""
+
+    @property
+    def updates(self) -> int:
+        """Gradient updates so far."""
+
+    @property
+    def device(self) -> str:
+        """What it computes on."""
+
+    def update(self, batches: Batches) -> None:
+        """One gradient update on each batch."""
+
+    def actor(self) -> ActorLayers:
+        """The policy as it is now; a copy."""
+
+    def log_to(self, logger: Logger) -> None:
+        """Where it reports its own numbers."""
+
+    def save(self) -> bytes:
+        """Weights and optimizer states, as SB3's file."""
+
+    def load(self, file: Path) -> None:
+        """The other way round."""
+
+    def snapshot(self) -> Arrays:
+        """What that file leaves out: counters, the entropy coefficient, random states."""
+
+    def restore(self, kept: Mapping[str, np.ndarray[Any, Any]]) -> None:
+        """The other way round."""
 
 
-def build(settings: Settings, envs: VecEnv, device: str) -> CrossQ:
-    """A new learner; the seed is the settings'.
+@runtime_checkable
+class TakesBatches(Protocol):
+    """An SB3 algorithm that can take many batches at once, where it is `fast`."""
+
+    @property
+    def fast(self) -> bool:
+        """Whether it can as it is now."""
+
+    def update(self, batches: Batches) -> Any:  # noqa: ANN401 - its means of `critic`, `actor`, `entropy`
+        """One gradient update on each batch."""
+
+
+class _Spaces(gymnasium.Env[Observation, Array]):
+    """What SB3 wants to know of an environment; it is never stepped."""
+
+    def __init__(self, bound: Observation, joints: int) -> None:
+        self.observation_space = spaces.Box(-bound, bound, dtype=np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (joints,), dtype=np.float32)
+
+
+class _Given:
+    """Stands in for a replay buffer: gives the batches it was given, one after the other."""
+
+    def __init__(self, batches: Batches, device: torch.device) -> None:
+        self._batches, self._device, self._next = batches, device, 0
+
+    def sample(self, batch_size: int, env: object = None) -> ReplayBufferSamples:
+        """The next one; its size is its own."""
+        k, self._next = self._next, self._next + 1
+        given = self._batches
+        columns = (given.dones[k, :, None], given.rewards[k, :, None], given.discounts[k, :, None])
+        arrays = (given.observations[k], given.actions[k], given.next_observations[k], *columns)
+        return ReplayBufferSamples(*(torch.as_tensor(one, device=self._device) for one in arrays))
+
+
+class Sb3Learner:
+    """CrossQ or SAC of SB3, their update as it stands; or one of our own that takes all batches at once."""
+
+    def __init__(self, model: CrossQ | SAC) -> None:
+        self.model = model
+        self.log_to(Logger(None, []))
+
+    @property
+    def updates(self) -> int:
+        """Gradient updates so far."""
+        return int(self.model._n_updates)
+
+    @property
+    def device(self) -> str:
+        """What it computes on."""
+        return str(self.model.device.type)
+
+    def update(self, batches: Batches) -> None:
+        """One gradient update on each batch."""
+        if isinstance(self.model, TakesBatches) and self.model.fast:
+            losses = self.model.update(batches)
+            told = {"critic_loss": losses.critic, "actor_loss": losses.actor, "ent_coef": losses.entropy}
+            for name, value in told.items():
+                if np.isfinite(value):
+                    self.model.logger.record(f"train/{name}", value)
+            return
+        many, size = batches.rewards.shape
+        self.model.replay_buffer = cast(ReplayBuffer, _Given(batches, self.model.device))
+        self.model.train(many, size)
+
+    def actor(self) -> ActorLayers:
+        """The policy as it is now; a copy.
+
+        Batch renormalisation at inference is a x + c with a = scale / sqrt(var + eps) and
+        c = bias - a mean, so W (a x + c) + b = (W a) x + (W c + b).
+        """
+        actor: Any = self.model.actor  # SB3 types its parts as any module
+        hidden: list[Layer] = []
+        gain, offset = np.ones(1), np.zeros(1)
+        for module in actor.latent_pi:
+            if isinstance(module, BatchRenorm1d):
+                gain = _array(module.scale) / np.sqrt(_array(module.ra_var) + module.eps)
+                offset = _array(module.bias) - gain * _array(module.ra_mean)
+            elif isinstance(module, torch.nn.Linear):
+                hidden.append(_folded(module, gain, offset))
+                gain, offset = np.ones(1), np.zeros(1)
+            elif not isinstance(module, torch.nn.ReLU):
+                raise TypeError(f"cannot fold {type(module).__name__} into linear layers")
+        mean, log_std = (_folded(one, gain, offset) for one in (actor.mu, actor.log_std))
+        return ActorLayers(tuple(hidden), mean, log_std)
+
+    def log_to(self, logger: Logger) -> None:
+        """Where it reports its own numbers."""
+        self.model.set_logger(logger)
+
+    def save(self) -> bytes:
+        """Weights and optimizer states, as SB3's file."""
+        content = io.BytesIO()
+        self.model.save(content)
+        return content.getvalue()
+
+    def load(self, file: Path) -> None:
+        """The other way round; only tensors are read, nothing is unpickled."""
+        self.model.set_parameters(str(file), device=self.model.device)
+
+    def snapshot(self) -> Arrays:
+        """What that file leaves out: counters, the entropy coefficient, random states."""
+        random = {"torch_random": torch.get_rng_state().numpy()}
+        if self.model.device.type == "cuda":
+            random["cuda_random"] = torch.cuda.get_rng_state(self.model.device).numpy()
+        return {
+            "updates": np.array(self.updates),
+            "log_ent_coef": self._entropy().detach().cpu().numpy().copy(),
+            **random,
+        }
+
+    def restore(self, kept: Mapping[str, np.ndarray[Any, Any]]) -> None:
+        """The other way round."""
+        self.model._n_updates = int(kept["updates"])
+        with torch.no_grad():
+            self._entropy().copy_(torch.as_tensor(kept["log_ent_coef"]))
+        torch.set_rng_state(torch.as_tensor(kept["torch_random"]))
+        if self.model.device.type == "cuda" and "cuda_random" in kept:
+            torch.cuda.set_rng_state(torch.as_tensor(kept["cuda_random"]), self.model.device)
+
+    def _entropy(self) -> torch.Tensor:
+        """The logarithm of the coefficient, which adapts in all that `build` makes."""
+        if self.model.log_ent_coef is None:
+            raise TypeError("expected a learner whose entropy coefficient adapts")
+        return self.model.log_ent_coef
+
+
+def build(settings: Settings, bound: Observation, joints: int, device: str) -> Learner:
+    """A new learner; all its chance is of the settings' seed.
+
+    Args:
+        settings: of it.
+        bound: largest magnitude of every observed number, shape (observed,).
+        joints: numbers of an action.
+        device: `auto`, `cpu` or `cuda`.
 
     Raises:
-        UsageError: `cuda` without a CUDA device.
+        UsageError: `cuda` without a CUDA device, or a setting that the algorithm does not have.
     """
     if device == "cuda" and not torch.cuda.is_available():
         raise UsageError("no CUDA device that torch can use: give --device cpu")
+    if settings.weight_norm:
+        raise UsageError(f"{settings.algorithm} does not have weight_norm")
     torch.set_num_threads(settings.threads)
-    steps, updates = settings.rounds
-    exploration: dict[str, float] = {"log_std_init": settings.smooth_log_std} if settings.smooth else {}
-    return CrossQ(
-        "MlpPolicy",
-        envs,
-        learning_rate=settings.learning_rate,
-        buffer_size=settings.buffer,
-        learning_starts=settings.learning_starts,
-        batch_size=settings.batch,
-        gamma=settings.discount,
-        train_freq=steps,
-        gradient_steps=updates,
-        n_steps=settings.n_step,
-        policy_delay=settings.policy_delay,
-        ent_coef=f"auto_{settings.entropy}",
-        use_sde=settings.smooth,
-        use_sde_at_warmup=settings.smooth,
-        sde_sample_freq=settings.smooth_steps if settings.smooth else -1,
-        policy_kwargs={
-            **exploration,
-            "clip_mean": 0.0,  # the plain policy has no limit before its hyperbolic tangent
-            "net_arch": {"pi": list(settings.actor), "qf": list(settings.critic)},
-            "renorm_warmup_steps": settings.renorm_warmup,
-            # CrossQ's own first moment, and the optimizer's steps in one call: a fifth more updates a second.
-            "optimizer_kwargs": {"betas": (0.5, 0.999), "fused": True},
-        },
-        seed=settings.seed,
-        device=device,
-    )
-
-
-def plain_policy(model: CrossQ, run: dict[str, Any]) -> Policy:
-    """The actor's mean action as linear layers, each with the normalisation before it folded in.
-
-    Batch renormalisation at inference is a x + c with a = scale / sqrt(var + eps) and
-    c = bias - a mean, so W (a x + c) + b = (W a) x + (W c + b).
-    """
-    layers: list[tuple[Array, Array]] = []
-    gain, offset = np.ones(1), np.zeros(1)
-    for module in [*model.actor.latent_pi, model.actor.mu]:
-        if isinstance(module, BatchRenorm1d):
-            gain = _array(module.scale) / np.sqrt(_array(module.ra_var) + module.eps)
-            offset = _array(module.bias) - gain * _array(module.ra_mean)
-        elif isinstance(module, torch.nn.Linear):
-            weight, bias = _array(module.weight), _array(module.bias)
-            folded = (weight * gain, bias + (weight * offset).sum(axis=1))
-            layers.append((folded[0].astype(np.float32), folded[1].astype(np.float32)))
-            gain, offset = np.ones(1), np.zeros(1)
-        elif not isinstance(module, torch.nn.ReLU):
-            raise TypeError(f"cannot fold {type(module).__name__} into a plain policy")
-    return Policy(tuple(layers), run)
-
-
-def _parts(model: CrossQ) -> tuple[ReplayBuffer, torch.Tensor, VecEnv]:
-    """What a learner built by `build` has, although SB3's types say it may not."""
-    if model.replay_buffer is None or model.log_ent_coef is None or model.env is None:
-        raise TypeError("expected a learner made by build()")
-    return model.replay_buffer, model.log_ent_coef, model.env
-
-
-def snapshot(model: CrossQ) -> dict[str, np.ndarray[Any, Any]]:
-    """What SB3's own file leaves out: the filled part of the replay buffer, counters and random states."""
-    buffer, log_ent_coef, _ = _parts(model)
-    filled = buffer.buffer_size if buffer.full else buffer.pos
-    generator = np.random.get_state(legacy=False)  # noqa: NPY002 - SB3 draws its batches from it
-    return {
-        **{name: getattr(buffer, name)[:filled] for name in _BUFFER_FIELDS},
-        "position": np.array([buffer.pos, buffer.full]),
-        "counters": np.array([model.num_timesteps, model._n_updates, model._episode_num]),
-        "log_ent_coef": log_ent_coef.detach().cpu().numpy(),
-        "torch_random": torch.get_rng_state().numpy(),
-        "numpy_random": generator["state"]["key"],
-        "numpy_random_position": np.array(generator["state"]["pos"]),
+    nets: dict[str, Any] = {"net_arch": {"pi": list(settings.actor), "qf": list(settings.critic)}}
+    common: dict[str, Any] = {
+        "learning_rate": settings.learning_rate,
+        "buffer_size": 1,  # ours is outside
+        "batch_size": settings.batch,
+        "gamma": settings.discount,
+        "ent_coef": f"auto_{settings.entropy}",
+        "target_entropy": "auto" if settings.target_entropy is None else settings.target_entropy,
+        "seed": settings.seed,
+        "device": device,
     }
+    env = _Spaces(bound, joints)
+    if settings.algorithm == "sac":
+        return Sb3Learner(SAC("MlpPolicy", env, policy_kwargs=nets, **common))
+    # CrossQ's own first moment, and the optimizer's steps in one call: a fifth more updates a second.
+    nets |= {"renorm_warmup_steps": settings.renorm_warmup, "optimizer_kwargs": {"betas": (0.5, 0.999), "fused": True}}
+    return Sb3Learner(CrossQ("MlpPolicy", env, policy_kwargs=nets, policy_delay=settings.policy_delay, **common))
 
 
-def restore(model: CrossQ, kept: Callable[[str], np.ndarray[Any, Any]]) -> None:
-    """Put a snapshot into a newly built learner whose weights have been set.
-
-    Episodes in flight are lost: what the buffer holds of them ends in a time-out, and
-    the environments start anew from a seed made of the run's and the step.
-    """
-    buffer, log_ent_coef, envs = _parts(model)
-    for name in _BUFFER_FIELDS:
-        values = kept(name)
-        getattr(buffer, name)[: len(values)] = values
-    buffer.pos, buffer.full = int(kept("position")[0]), bool(kept("position")[1])
-    buffer.timeouts[buffer.pos - 1] = 1.0 - buffer.dones[buffer.pos - 1] * (1.0 - buffer.timeouts[buffer.pos - 1])
-    model.num_timesteps, model._n_updates, model._episode_num = (int(one) for one in kept("counters"))
-    with torch.no_grad():
-        log_ent_coef.copy_(torch.as_tensor(kept("log_ent_coef")))
-    fresh = int(np.random.SeedSequence([model.seed or 0, model.num_timesteps]).generate_state(1)[0] >> 1)
-    random.seed(fresh)
-    torch.manual_seed(fresh)  # of CUDA, whose state is not kept
-    model.action_space.seed(fresh)
-    envs.seed(fresh)
-    torch.set_rng_state(torch.as_tensor(kept("torch_random")))
-    state = np.random.get_state(legacy=False)  # noqa: NPY002 - SB3 draws its batches from it
-    state["state"] = {"key": kept("numpy_random"), "pos": int(kept("numpy_random_position"))}
-    np.random.set_state(state)  # noqa: NPY002
+def _folded(module: torch.nn.Linear, gain: np.ndarray[Any, Any], offset: np.ndarray[Any, Any]) -> Layer:
+    weight, bias = _array(module.weight), _array(module.bias)
+    return (weight * gain).astype(np.float32), (bias + (weight * offset).sum(axis=1)).astype(np.float32)
 
 
 def _array(tensor: Any) -> np.ndarray[Any, Any]:  # noqa: ANN401 - a Tensor; torch types buffers loosely

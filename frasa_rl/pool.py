@@ -3,13 +3,14 @@
 import io
 import os
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 import yaml
 
 from frasa_rl.config import Task
@@ -18,15 +19,23 @@ from frasa_rl.simulation import FULL, Start, fresh
 from frasa_rl.starts import StartMaker, compat_starts
 from frasa_sysid.calibration import Calibration, UsageError, plain, sha256_of, write_atomic
 
-VERSION = 1  # of what a pool holds; another one is made anew
+VERSION = 2  # of what a pool holds; another one is made anew
 
 
-def pool_key(model: mujoco.MjModel, task: Task, calibration: Calibration | None, count: int, seed: int) -> str:
-    """Hash of all that a pool depends on: model, task, ranges, its size and seed, and MuJoCo."""
+def pool_key(
+    model: mujoco.MjModel,
+    task: Task,
+    calibration: Calibration | None,
+    kinds: Sequence[Kind],
+    seed: int,
+    branch: tuple[int, ...] = (),
+) -> str:
+    """Hash of all that a pool depends on: model, task, ranges, what it holds, its seed, and MuJoCo."""
     content = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
     mujoco.mj_saveModel(model, None, content)
     ranges = calibration.to_dict() if calibration else None
-    said = yaml.safe_dump([plain(asdict(task)), plain(ranges), count, seed, VERSION, mujoco.__version__])
+    of = [plain(asdict(task)), plain(ranges), list(kinds), seed, list(branch), VERSION, mujoco.__version__]
+    said = yaml.safe_dump(of)
     return sha256_of(content.tobytes() + said.encode())[:32]
 
 
@@ -46,6 +55,8 @@ class Pool:
         seed: of all of them.
         folder: where to keep it, if it can be written; None keeps nothing.
         tell: called with the share done while it is made.
+        kinds: of every start, where they are not what training uses.
+        branch: numbers that set a pool's chance apart from that of others with the same seed.
 
     Raises:
         UsageError: no start is asked for.
@@ -60,23 +71,27 @@ class Pool:
         seed: int,
         folder: Path | None = None,
         tell: Callable[[float], None] = lambda _: None,
+        *,
+        kinds: Sequence[Kind] | None = None,
+        branch: tuple[int, ...] = (),
     ) -> None:
         if count < 1:
             raise UsageError(f"a pool of {count} starts: expected at least 1")
-        self._maker, self._seed = maker, seed
-        if maker.task.compat:
+        self._maker, self._seed, self._branch = maker, seed, branch
+        wanted: Sequence[Kind] = ["any"] * count if kinds is None else kinds
+        if maker.task.compat and kinds is None:
             self.starts = compat_starts(maker).make([self._rng(i) for i in range(count)])
             return
         if folder is None:
-            self.starts = self._make(count, tell)
+            self.starts = self._make(wanted, tell)
             return
-        key = pool_key(maker.original, maker.task, calibration, count, seed)
+        key = pool_key(maker.original, maker.task, calibration, wanted, seed, branch)
         path = folder / f"starts-{key}.npz"
         kept = _load(path) if path.is_file() else None
         if kept is not None and self._fits(kept, count, key):
             self.starts = [self._restore(i, kept) for i in range(count)]
             return
-        self.starts = self._make(count, tell)
+        self.starts = self._make(wanted, tell)
         with suppress(OSError):  # a cache that cannot be written is none: the pool is there all the same
             write_atomic(path, _packed(self.starts, key))
 
@@ -84,18 +99,23 @@ class Pool:
         return len(self.starts)
 
     def _rng(self, index: int) -> np.random.Generator:
-        return np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(index,)))
+        return np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(*self._branch, index)))
 
-    def _make(self, count: int, tell: Callable[[float], None]) -> list[Start]:
-        kinds: list[Kind] = ["any"] * count
-        return self._maker.make([self._rng(i) for i in range(count)], kinds, tell)
+    def of_kind(self, kind: str) -> npt.NDArray[np.intp]:
+        """Which starts are of a kind."""
+        return np.flatnonzero([one.kind == kind for one in self.starts])
+
+    def _make(self, kinds: Sequence[Kind], tell: Callable[[float], None]) -> list[Start]:
+        return self._maker.make([self._rng(i) for i in range(len(kinds))], kinds, tell)
 
     def _fits(self, kept: dict[str, np.ndarray], count: int, key: str) -> bool:
         """Whether a file holds what its name says: numbers of the right shapes, as they were written."""
         model = self._maker.model
         shapes = {"state": (count, mujoco.mj_stateSize(model, FULL)), "ctrl": (count, model.nu)}
         shapes["sensors"] = shapes["older"] = (count, model.nsensordata)
-        if set(kept) != {*shapes, "mark"} or any(kept[name].dtype != np.float64 for name in shapes):
+        if set(kept) != {*shapes, "kind", "mark"} or any(kept[name].dtype != np.float64 for name in shapes):
+            return False
+        if kept["kind"].shape != (count,) or kept["kind"].dtype.kind != "U":
             return False
         right = all(kept[name].shape == shape for name, shape in shapes.items())
         return right and str(kept["mark"]) == _mark(kept, key)
@@ -104,18 +124,17 @@ class Pool:
         """The robot is drawn again from its seed, where it settled is read."""
         model, drawn = self._maker.draw_robot(self._rng(index))
         ages = fresh(model)
-        state, ctrl, sensors, older = (kept[name][index] for name in _KEPT)
-        return Start(model, state, ctrl, sensors, ages, drawn, older)
+        state, ctrl, sensors, older, kind = (kept[name][index] for name in _KEPT)
+        return Start(model, state, ctrl, sensors, ages, drawn, older, str(kind))
 
 
-_KEPT = ("state", "ctrl", "sensors", "older")
+_KEPT = ("state", "ctrl", "sensors", "older", "kind")
 
 
 def _packed(starts: list[Start], key: str) -> bytes:
     file = io.BytesIO()
     kept = {name: np.stack([getattr(one, name) for one in starts]) for name in _KEPT}
-    state, ctrl, sensors, older = (kept[name] for name in _KEPT)
-    np.savez(file, state=state, ctrl=ctrl, sensors=sensors, older=older, mark=np.array(_mark(kept, key)))
+    np.savez(file, allow_pickle=False, **kept, mark=np.array(_mark(kept, key)))
     return file.getvalue()
 
 

@@ -1,170 +1,151 @@
-"""What a run shows and keeps while it trains: a line on standard error, progress.csv, checkpoints, its end."""
+"""What a run shows and keeps of how it goes: a line on standard error, progress.csv, TensorBoard."""
 
-import csv
-import io
-import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections import deque
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import FrameType
+from typing import Any
 
 import numpy as np
-from stable_baselines3.common.callbacks import BaseCallback
 
-from frasa_sysid.calibration import say, write_atomic
+from frasa_rl.collector import Round
+from frasa_rl.snapshots import Arrays
+from frasa_rl.stopping import Ends
+from frasa_rl.tables import PROGRESS
+from frasa_sysid.calibration import say
 
-CSV_FILE = "progress.csv"
-COLUMNS = ("steps", "minutes", "return", "length", "success", "posture", "diverged", "updates", "steps_per_s")
-_ROW_STEPS = 1_000
+_EPISODES = 100  # that means are of
+_ROW_STEPS, _ROW_SHARE = 1_000, 0.005  # a long run has longer rows: the table is written anew with each
 _LINE_S = {True: 1.0, False: 30.0}  # a terminal's line is rewritten, a log's lines add up
+_RECENT_S = 20.0  # that the rates in the line are of
+
+Record = Callable[[str, float], None]
 
 
-class Progress(BaseCallback):
-    """Counts, reports, and ends the run.
+class Progress:
+    """Counts and reports.
+
+    Attributes:
+        rows: of progress.csv, by `tables.PROGRESS`; NaN before the first episode is over.
+        remark: what else the line says, such as the last evaluation.
 
     Args:
         run: the run folder.
-        steps: the run ends at this many transitions; None for no limit.
-        minutes: the run ends after this long, earlier parts of a resumed run included; None for no limit.
-        elapsed_s: time the earlier parts took [s].
-        checkpoint_steps: transitions between two checkpoints.
-        checkpoint: saves one, given the elapsed time [s].
+        ends: of the run, for the time left.
+        record: takes a number for TensorBoard by name.
+        dump: writes them for a step.
     """
 
-    def __init__(
-        self,
-        run: Path,
-        steps: int | None,
-        minutes: float | None,
-        elapsed_s: float,
-        checkpoint_steps: int,
-        checkpoint: Callable[[float], None],
-    ) -> None:
-        super().__init__()
-        self.stopped: str | None = None
-        self._path, self._steps, self._minutes = run / CSV_FILE, steps, minutes
-        self._checkpoint_steps, self._checkpoint = checkpoint_steps, checkpoint
-        self._begun = time.monotonic() - elapsed_s
-        self._posture: list[float] = []
-        self._diverged = 0
+    def __init__(self, run: Path, ends: Ends, record: Record, dump: Callable[[int], None]) -> None:
+        self._run, self._ends, self._record, self._dump = run, ends, record, dump
         self.rows: list[list[float]] = []
+        self.remark = ""
+        self._episodes: deque[tuple[float, float, float]] = deque(maxlen=_EPISODES)  # return, length, success
+        self._posture: list[float] = []
+        self._diverged = self._steps = self._updates = self._row_at = 0
         self._line_at = 0.0
+        self.start(0.0)
+
+    def start(self, elapsed_s: float) -> None:
+        """Training begins, or goes on after so long [s]."""
+        self._begun = time.monotonic() - elapsed_s
+        self._row_s = elapsed_s
+        self._row_from = (self._steps, self._updates)
+        self._recent: deque[tuple[float, int, int]] = deque([(elapsed_s, self._steps, self._updates)])
 
     @property
     def elapsed_s(self) -> float:
         """Training time of all parts of the run [s]."""
         return time.monotonic() - self._begun
 
-    def _on_training_start(self) -> None:
-        # Rows after the checkpoint a run resumes from belong to a past that is no more.
-        self.rows = [row for row in read_progress(self._path) if row[0] <= self.num_timesteps]
-        self._row_at = self._saved_at = self._first = self.num_timesteps
-        self._first_s = self.elapsed_s
+    @property
+    def success(self) -> float:
+        """Share of the last hundred episodes that ended standing; NaN before the first is over."""
+        return _mean([one[2] for one in self._episodes])
 
-    def _on_step(self) -> bool:
-        for info in self.locals["infos"]:
-            self._posture.append(info["posture"])
-            self._diverged += info.get("diverged", False)
-        if self.num_timesteps - self._row_at >= _ROW_STEPS:
+    def note(self, steps: int, updates: int, got: Round) -> None:
+        """A round is over."""
+        self._steps, self._updates = steps, updates
+        self._episodes.extend(zip(got.returned.tolist(), got.lasted.tolist(), got.success.tolist(), strict=True))
+        self._posture.append(got.posture)
+        self._diverged += got.diverged
+        now = self.elapsed_s
+        self._recent.append((now, steps, updates))
+        while now - self._recent[0][0] > _RECENT_S and len(self._recent) > 2:
+            self._recent.popleft()
+        if steps - self._row_at >= max(_ROW_STEPS, _ROW_SHARE * steps):
             self.add_row()
-        if self.num_timesteps - self._saved_at >= self._checkpoint_steps:
-            self._saved_at = self.num_timesteps
-            self._checkpoint(self.elapsed_s)
         if time.monotonic() - self._line_at > _LINE_S[sys.stderr.isatty()]:
             self._line_at = time.monotonic()
             self.show()
-        if self.stopped is None and self._minutes is not None and self.elapsed_s >= 60.0 * self._minutes:
-            self.stopped = "minutes"
-        if self.stopped is None and self._steps is not None and self.num_timesteps >= self._steps:
-            self.stopped = "steps"
-        return self.stopped is None
 
     def add_row(self) -> None:
-        """One row of progress.csv about the last hundred episodes."""
-        self._row_at = self.num_timesteps
-        episodes = self._episodes()
+        """One row of progress.csv about the last hundred episodes; none where nothing has happened since the last."""
+        if self._steps == self._row_at:
+            return
+        spent = max(self.elapsed_s - self._row_s, 1e-9)
+        rates = [(now - then) / spent for now, then in zip((self._steps, self._updates), self._row_from, strict=True)]
         row = [
-            self.num_timesteps,
+            self._steps,
             round(self.elapsed_s / 60.0, 4),
-            _mean([one["r"] for one in episodes]),
-            _mean([one["l"] for one in episodes]),
-            self._success(),
+            _mean([one[0] for one in self._episodes]),
+            _mean([one[1] for one in self._episodes]),
+            self.success,
             _mean(self._posture),
             self._diverged,
-            self.model._n_updates,
-            round(self._rate(), 1),
+            self._updates,
+            *(round(one, 1) for one in rates),
         ]
-        self._posture = []
         self.rows.append([float(one) for one in row])
-        self.logger.record("standup/posture", row[5])
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerows(
-            [COLUMNS, *([f"{one:g}" if one % 1 else int(one) for one in row] for row in _known(self.rows))]
-        )
-        write_atomic(self._path, text.getvalue())
+        self._row_at, self._row_s, self._posture = self._steps, self.elapsed_s, []
+        self._row_from = (self._steps, self._updates)
+        for name, value in zip(PROGRESS.columns[2:], row[2:], strict=True):
+            if np.isfinite(value):
+                self._record(f"run/{name}", value)
+        self._dump(self._steps)
+        self.write()
+
+    def write(self) -> None:
+        """The rows as progress.csv, less those before the first finished episode."""
+        PROGRESS.write(self._run, [row for row in self.rows if np.isfinite(row).all()])
 
     def show(self) -> None:
         """The progress line."""
-        returned = _shown(_mean([one["r"] for one in self._episodes()]), "6.1f")
+        (then_s, steps, updates), now_s = self._recent[0], self.elapsed_s
+        spent = max(now_s - then_s, 1e-9)
+        rates = (self._steps - steps) / spent, (self._updates - updates) / spent
+        left = self._ends.left_s(self._steps, now_s, rates[0])
         line = (
-            f"{self.num_timesteps:>9,} steps  {_clock(self.elapsed_s)}  return {returned}"
-            f"  standing {_shown(100.0 * self._success(), '3.0f')} %"
-            f"  {self._rate():5.0f} steps/s  left {_clock(self._left_s())}"
+            f"{self._steps:>9,} steps  {_clock(now_s)}"
+            f"  return {_shown(_mean([one[0] for one in self._episodes]), '6.1f')}"
+            f"  standing {_shown(100.0 * self.success, '3.0f')} %  {self.remark}"
+            f"{'  ' if self.remark else ''}{rates[0]:5.0f} steps/s  {rates[1]:4.0f} updates/s"
+            f"  left {_clock(left) if np.isfinite(left) else '-'}"
         )
         if sys.stderr.isatty():
-            print(f"\r{line}", end="", file=sys.stderr, flush=True)
+            print(f"\r{line}\033[K", end="", file=sys.stderr, flush=True)
         else:
             say(line)
 
-    def _episodes(self) -> list[dict[str, float]]:
-        """Return `r` and length `l` of the last hundred episodes."""
-        return list(self.model.ep_info_buffer or [])
+    def snapshot(self) -> Arrays:
+        """For a checkpoint."""
+        return {
+            "rows": np.array(self.rows).reshape(-1, len(PROGRESS.columns)),
+            "episodes": np.array(self._episodes, dtype=np.float64).reshape(-1, 3),
+            "posture": np.array(self._posture, dtype=np.float64),
+            "counts": np.array([self._diverged, self._steps, self._updates, self._row_at]),
+            "elapsed_s": np.array(self.elapsed_s),
+        }
 
-    def _success(self) -> float:
-        """Share of the last hundred episodes that ended standing."""
-        return _mean([float(one) for one in self.model.ep_success_buffer or []])
-
-    def _rate(self) -> float:
-        return (self.num_timesteps - self._first) / max(self.elapsed_s - self._first_s, 1e-9)
-
-    def _left_s(self) -> float:
-        by_steps = (self._steps - self.num_timesteps) / max(self._rate(), 1e-9) if self._steps is not None else np.inf
-        by_time = 60.0 * self._minutes - self.elapsed_s if self._minutes is not None else np.inf
-        return float(max(0.0, min(by_steps, by_time)))
-
-
-@contextmanager
-def stop_on_signals(progress: Progress) -> Iterator[None]:
-    """The first Ctrl-C (or termination) ends the run after the current round, with all saved; a second one at once."""
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        if progress.stopped == "interrupted":
-            raise KeyboardInterrupt
-        progress.stopped = "interrupted"
-        say("\nstopping after this round; everything is saved (again to stop at once)")
-
-    kept = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in kept.items():
-            signal.signal(number, handler)
-
-
-def read_progress(path: Path) -> list[list[float]]:
-    """The rows of a progress.csv, in the order of `COLUMNS`; none when there is no file."""
-    if not path.is_file():
-        return []
-    with path.open(newline="", encoding="utf-8") as file:
-        return [[float(one) if one else np.nan for one in row] for row in list(csv.reader(file))[1:]]
-
-
-def _known(rows: list[list[float]]) -> list[list[float]]:
-    """Rows without those before the first finished episode."""
-    return [row for row in rows if np.isfinite(row).all()]
+    def restore(self, kept: Mapping[str, np.ndarray[Any, Any]]) -> None:
+        """The other way round; the file is as it was then: later rows belong to a past that is no more."""
+        self.rows = [[float(one) for one in row] for row in kept["rows"]]
+        self._episodes = deque([(float(a), float(b), float(c)) for a, b, c in kept["episodes"]], maxlen=_EPISODES)
+        self._posture = [float(one) for one in kept["posture"]]
+        self._diverged, self._steps, self._updates, self._row_at = (int(one) for one in kept["counts"])
+        self.start(float(kept["elapsed_s"]))
+        self.write()
 
 
 def _shown(value: float, form: str) -> str:
@@ -177,5 +158,5 @@ def _mean(values: list[float]) -> float:
 
 
 def _clock(seconds: float) -> str:
-    whole = int(seconds) if np.isfinite(seconds) else 0
+    whole = int(seconds)
     return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"

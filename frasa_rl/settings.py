@@ -1,9 +1,12 @@
-"""How CrossQ is run: the paper's settings, and quick ones for two processor cores."""
+"""How a policy is learned: the paper's settings, and quick ones for two processor cores."""
 
 from dataclasses import dataclass
 
 from frasa_rl.physics import NAMES
+from frasa_rl.simulation import all_threads
 from frasa_sysid.calibration import UsageError
+
+ALGORITHMS = ("crossq", "sac")
 
 
 @dataclass(frozen=True)
@@ -11,10 +14,15 @@ class Settings:
     """Everything a run is determined by, beside the task and the model.
 
     Attributes:
+        algorithm: `crossq`, or `sac` to compare with.
         envs: environments stepped together.
-        rollout_steps: transitions gathered between two rounds of learning, a multiple of `envs`.
+        rollout_steps: transitions gathered in a round, a multiple of `envs`.
         updates_per_step: gradient updates a transition.
+        overlap: gather a round while learning from the rounds before; else one after the other.
+        env_threads: of the physics; None for all cores, less those that learn at the same time.
+        threads: of torch on a processor; more than one stalls where cores are shared.
         learning_starts: transitions of random actions before learning.
+        noise_correlation: of the exploration noise, between a step and the next; 0 for white noise.
         batch: transitions an update.
         buffer: transitions kept.
         discount: a control step.
@@ -22,51 +30,70 @@ class Settings:
         learning_rate, policy_delay: of CrossQ.
         actor, critic: widths of the hidden layers.
         entropy: entropy coefficient to start from; it adapts.
-        smooth: explore with noise that depends on the state (gSDE) instead of a new draw every step.
-        smooth_log_std, smooth_steps: its first standard deviation, and the steps between two draws of it.
+        target_entropy: that it adapts to; None for minus the number of joints.
+        weight_norm: keep the norms of the weights, as updates beyond one a step need.
         renorm_warmup: batches after which batch renormalisation uses running statistics.
         physics: how the simulation steps, a name of `frasa_rl.physics`; what the task says itself stays.
         pool: settled starts to choose from, each with a robot of its own.
-        threads: of torch on a processor; more than one stalls where cores are shared.
         near_target_share: share of the starts near the standing pose, in place of the task's.
         falling_share: share of the starts between that pose and a random one, still falling.
+        rising, approach: weights of the two terms that lead to the standing pose (`reward`), in place of the task's.
+        evaluate_steps: transitions between two evaluations on held-out falls; 0 for none.
+        evaluate_falls: of them on each side.
+        evaluate_physics: how they are simulated; `model` is the truth, whatever is trained with.
         checkpoint_steps: transitions between two checkpoints.
         seed: of everything.
     """
 
-    envs: int = 4
-    rollout_steps: int = 16
+    algorithm: str = "crossq"
+    envs: int = 64
+    rollout_steps: int = 64
     updates_per_step: float = 1.0
-    learning_starts: int = 2_000
+    overlap: bool = True
+    env_threads: int | None = None
+    threads: int = 1
+    learning_starts: int = 5_000
+    noise_correlation: float = 0.0
     batch: int = 128
-    buffer: int = 300_000
+    buffer: int = 600_000
     discount: float = 0.99
     n_step: int = 3
-    learning_rate: float = 5e-4
+    learning_rate: float = 1e-3
     policy_delay: int = 3
     actor: tuple[int, ...] = (128, 128)
     critic: tuple[int, ...] = (128, 128)
-    renorm_warmup: int = 10_000
-    entropy: float = 0.01
-    smooth: bool = True
-    smooth_log_std: float = -3.0
-    smooth_steps: int = 4
+    entropy: float = 0.1
+    target_entropy: float | None = None
+    weight_norm: bool = False
+    renorm_warmup: int = 20_000
     physics: str = "fast"
     pool: int = 512
-    threads: int = 1
-    near_target_share: float = 0.25
-    falling_share: float = 0.25
-    checkpoint_steps: int = 20_000
+    near_target_share: float = 0.15
+    falling_share: float = 0.45
+    rising: float = 0.5
+    approach: float = 1.0
+    evaluate_steps: int = 50_000
+    evaluate_falls: int = 32
+    evaluate_physics: str = "model"
+    checkpoint_steps: int = 50_000
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("envs", "batch", "buffer", "n_step", "policy_delay", "threads", "pool", "checkpoint_steps"):
+        if self.algorithm not in ALGORITHMS:
+            raise UsageError(f"the algorithm is '{self.algorithm}': expected {' or '.join(ALGORITHMS)}")
+        for name in _AT_LEAST_ONE:
             if getattr(self, name) < 1:
                 raise UsageError(f"{name} is {getattr(self, name)}: expected at least 1")
-        if self.physics not in NAMES:
-            raise UsageError(f"physics are '{self.physics}': expected {' or '.join(NAMES)}")
-        if self.seed < 0:
-            raise UsageError(f"the seed is {self.seed}: expected 0 or more")
+        for name in ("seed", "learning_starts", "evaluate_steps"):
+            if getattr(self, name) < 0:
+                raise UsageError(f"{name} is {getattr(self, name)}: expected 0 or more")
+        if self.env_threads is not None and self.env_threads < 1:
+            raise UsageError(f"env_threads is {self.env_threads}: expected at least 1")
+        if not 0.0 <= self.noise_correlation < 1.0:
+            raise UsageError(f"noise_correlation is {self.noise_correlation}: expected at least 0 and less than 1")
+        for name in ("physics", "evaluate_physics"):
+            if getattr(self, name) not in NAMES:
+                raise UsageError(f"{name} are '{getattr(self, name)}': expected {' or '.join(NAMES)}")
 
     @property
     def rounds(self) -> tuple[int, int]:
@@ -74,17 +101,28 @@ class Settings:
         steps = max(1, self.rollout_steps // self.envs)
         return steps, max(1, round(self.updates_per_step * steps * self.envs))
 
+    @property
+    def physics_threads(self) -> int:
+        """Threads that step the environments of this machine."""
+        if self.env_threads is not None:
+            return self.env_threads
+        return max(1, all_threads() - self.threads) if self.overlap else all_threads()
+
+
+_AT_LEAST_ONE = (
+    "envs", "rollout_steps", "batch", "buffer", "n_step", "policy_delay", "threads", "pool", "evaluate_falls",
+    "checkpoint_steps",
+)  # fmt: skip
 
 PRESETS = {
-    # Chosen for two cores without a GPU, where one update costs as much as several physics steps. White noise
-    # of up to 2 pi rad/s shakes a standing robot down within three actions, and the narrow posture term then
-    # teaches nothing; smooth, small noise keeps it standing long enough to learn to hold the pose.
+    # Chosen for two cores without a GPU, where one update costs as much as several physics steps.
     "quick": Settings(),
     # FRASA's published recipe: 512 updates per 64 transitions, the first 100,000 of random actions.
     "paper": Settings(
         envs=16,
         rollout_steps=64,
         updates_per_step=8.0,
+        overlap=False,
         learning_starts=100_000,
         batch=256,
         buffer=1_000_000,
@@ -94,9 +132,10 @@ PRESETS = {
         critic=(384, 256),
         renorm_warmup=100_000,
         entropy=1.0,
-        smooth=False,
         near_target_share=0.10,
         physics="model",
         falling_share=0.0,
+        rising=0.0,
+        approach=0.0,
     ),
 }

@@ -1,7 +1,9 @@
 """Many robots at once through `mujoco.rollout`: arrays in, arrays out, no Python between two physics steps."""
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -9,9 +11,11 @@ import numpy.typing as npt
 from mujoco import rollout
 
 from frasa_rl.robot import Floats
+from frasa_rl.snapshots import Arrays, put_back, taken
 from frasa_sysid.calibration import UsageError
 
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)  # begins with time, qpos, qvel
+_KEPT = ("state", "sensors", "older", "ctrl", "diverged", "resting")
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,7 @@ class Start:
         ages: delay of every sensor [s], shape (nsensor,); the model's own are shorter by a step (see `fresh`).
         drawn: what was randomized, by name.
         older: `sensordata` of the physics step before; None for a robot that has always been where it is.
+        kind: how it was released, a `falls.Kind` that is not `any`; empty where nobody says.
     """
 
     model: mujoco.MjModel
@@ -35,6 +40,7 @@ class Start:
     ages: Floats
     drawn: dict[str, float]
     older: Floats | None = None
+    kind: str = ""
 
 
 def fresh(model: mujoco.MjModel) -> Floats:
@@ -117,6 +123,14 @@ class Simulation:
         self.state[index], self.sensors[index], self.ctrl[index] = start.state, start.sensors, start.ctrl
         self.older[index] = start.sensors if start.older is None else start.older
         self.diverged[index] = self.resting[index] = False
+
+    def snapshot(self) -> Arrays:
+        """Where all robots are, for a checkpoint; which models they have is not part of it."""
+        return taken(self, _KEPT)
+
+    def restore(self, kept: Mapping[str, np.ndarray[Any, Any]]) -> None:
+        """The other way round, after every robot was `put` with its model."""
+        put_back(self, _KEPT, kept)
 
     def advance(self, commands: Floats) -> None:
         """Step all robots.

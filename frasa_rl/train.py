@@ -1,85 +1,55 @@
-"""A training run: a folder that can be watched, stopped, resumed, and evaluated at any time.
+"""A training run: a folder that can be watched, stopped, killed, resumed, and evaluated at any time.
 
-runs/NAME/run.yaml            settings, task, model, calibration id, versions
+runs/NAME/run.yaml            settings, task, model, calibration id, seeds, versions
 runs/NAME/progress.csv        return and more against steps and minutes;  learning_curve.png at the end
-runs/NAME/policy/             the policy so far, loadable without torch
-runs/NAME/checkpoints/        the newest checkpoint;  tensorboard/  the learner's own numbers
+runs/NAME/evaluations.csv     success on held-out falls
+runs/NAME/policy/             the best policy so far on held-out falls, loadable without torch
+runs/NAME/latest/             the newest one
+runs/NAME/checkpoints/        the newest checkpoint: all that the run needs to go on as if it had never stopped
+runs/NAME/tensorboard/        everything as curves
 """
 
-import platform
+import random
+import shutil
+import time
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
-import gymnasium
-import mujoco
 import numpy as np
-import sb3_contrib
-import stable_baselines3
-import torch
 import yaml
-from sb3_contrib import CrossQ
 from stable_baselines3.common.logger import configure
-from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
-from frasa_rl import __version__
 from frasa_rl.bars import shown_share
+from frasa_rl.checkpoint import FOLDER as CHECKPOINTS
 from frasa_rl.checkpoint import load_checkpoint, save_checkpoint
-from frasa_rl.config import Task
-from frasa_rl.learner import build, plain_policy
-from frasa_rl.observation import layout
-from frasa_rl.physics import with_physics
-from frasa_rl.policy import FOLDER, RUN_FILE, read_run
-from frasa_rl.progress import Progress, stop_on_signals
-from frasa_rl.settings import Settings
-from frasa_rl.task_file import task_from
-from frasa_rl.task_text import task_data
-from frasa_rl.vec_env import StandUpVecEnv
-from frasa_sysid.calibration import (
-    CalibrationError,
-    InputError,
-    InterruptedRunError,
-    UsageError,
-    calibration_id,
-    load_model,
-    plain,
-    say,
-    sha256_of,
-    write_atomic,
-)
+from frasa_rl.collector import Collector
+from frasa_rl.curriculum import Curriculum
+from frasa_rl.deployment import deployment
+from frasa_rl.episodes import make_episodes
+from frasa_rl.evaluations import Evaluations, shown
+from frasa_rl.export import publish
+from frasa_rl.held_out import HeldOut
+from frasa_rl.learner import build
+from frasa_rl.loop import Loop
+from frasa_rl.observation import bounds
+from frasa_rl.plan import Plan, describe, mark_of
+from frasa_rl.policy import FOLDER, RUN_FILE, Policy, read_run
+from frasa_rl.progress import Progress
+from frasa_rl.replay import Replay
+from frasa_rl.snapshots import Arrays, nested, part
+from frasa_rl.stopping import Interrupt
+from frasa_sysid.calibration import CalibrationError, InterruptedRunError, UsageError, say, write_atomic
 
-SCHEMA = "frasa.run/1"
+LATEST = "latest"
 
 
-@dataclass(frozen=True)
-class Plan:
-    """What to train, for how long, and where to.
+def train(plan: Plan, *, resume: bool = False, curriculum: Curriculum | None = None) -> dict[str, Any]:
+    """Run or continue a run until it is over.
 
-    Attributes:
-        model: a model file.
-        out: the run folder.
-        settings: of the learner.
-        steps, minutes: the run ends at whichever comes first; None for no limit.
-        device: `auto`, `cpu` or `cuda`.
-        task: what is trained; its shares of starts and its physics are those of the settings.
-    """
-
-    model: Path
-    out: Path
-    settings: Settings
-    steps: int | None = None
-    minutes: float | None = None
-    device: str = "auto"
-    task: Task = field(default_factory=Task)
-
-    def __post_init__(self) -> None:
-        shares = {name: getattr(self.settings, name) for name in ("near_target_share", "falling_share")}
-        object.__setattr__(self, "task", with_physics(replace(self.task, **shares), self.settings.physics))
-
-
-def train(plan: Plan, *, resume: bool = False) -> dict[str, Any]:
-    """Run or continue a run until its budget is used up.
+    Args:
+        plan: what, how long, where.
+        resume: continue the run in `plan.out`.
+        curriculum: what changes while the run learns; None for nothing.
 
     Returns:
         What `frasa-rl train --json` prints.
@@ -87,151 +57,214 @@ def train(plan: Plan, *, resume: bool = False) -> dict[str, Any]:
     Raises:
         InterruptedRunError: stopped by the user; everything so far is saved.
         CalibrationError: the model of a resumed run has changed.
-        UsageError: the folder already holds a run, or there is no limit.
+        UsageError: the folder already holds a run, or there is no end.
+        CheckpointError: there is nothing to resume from.
     """
-    if plan.steps is None and plan.minutes is None:
-        raise UsageError("a run needs an end: give --minutes or --steps")
-    description = describe(plan)
+    if plan.steps is None and plan.minutes is None and plan.until_success is None:
+        raise UsageError("a run needs an end: give --minutes, --steps or --until-success")
+    if plan.until_success is not None and not plan.settings.evaluate_steps:
+        raise UsageError("--until-success needs evaluations: give --evaluate-steps more than 0")
+    description = describe(plan, type(curriculum or Curriculum()).__name__)
     if resume:
-        _check_same_model(description, read_run(plan.out / RUN_FILE))
+        _check_same(description, read_run(plan.out / RUN_FILE))
     elif (plan.out / RUN_FILE).exists():
         raise UsageError(f"{plan.out} already holds a run: choose another --out, or --resume {plan.out}")
-    envs = make_envs(plan)
+    loop = make_loop(plan, curriculum)
     try:
-        model = build(plan.settings, envs, plan.device)
-        elapsed_s = load_checkpoint(model, plan.out) if resume else 0.0
-        write_atomic(plan.out / RUN_FILE, yaml.safe_dump(description, sort_keys=False))
-        return _learn(model, plan, description, elapsed_s)
+        return _Run(plan, description, loop).go(resume=resume)
     finally:
-        envs.close()
+        loop.close()
 
 
-def describe(plan: Plan) -> dict[str, Any]:
-    """What run.yaml says: all that determines the run, in plain data."""
-    model, task = load_model(plan.model), plan.task
-    versions = {
-        "frasa": __version__,
-        "python": platform.python_version(),
-        "mujoco": mujoco.__version__,
-        "gymnasium": gymnasium.__version__,
-        "stable-baselines3": stable_baselines3.__version__,
-        "sb3-contrib": sb3_contrib.__version__,
-        "torch": str(torch.__version__),
-    }
-    said: dict[str, Any] = plain(
-        {
-            "schema": SCHEMA,
-            "model": plan.model,
-            "model_sha256": model_hash(model),
-            "calibration_id": calibration_id(model),
-            "steps": plan.steps,
-            "minutes": plan.minutes,
-            "device": plan.device,
-            "settings": asdict(plan.settings),
-            "observation": [{"name": one.name, "size": one.size, "unit": one.unit} for one in layout(task)],
-            "task": task_data(task),
-            "versions": versions,
-        }
-    )
-    return said
-
-
-def plan_of(run: Path) -> Plan:
-    """The plan that a run folder was started with.
-
-    Raises:
-        PolicyError: no run.yaml there.
-        InputError: one that this version cannot read.
-    """
-    said = read_run(run / RUN_FILE)
-    try:
-        if said["schema"] != SCHEMA:
-            raise ValueError(f"schema '{said['schema']}', expected '{SCHEMA}'")
-        settings: dict[str, Any] = {
-            name: tuple(one) if isinstance(one, list) else one for name, one in said["settings"].items()
-        }
-        return Plan(
-            model=Path(said["model"]),
-            out=run,
-            settings=Settings(**settings),
-            steps=said["steps"],
-            minutes=said["minutes"],
-            device=said["device"],
-            task=task_from(said["task"], str(run / RUN_FILE)),
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{run / RUN_FILE}: missing or wrong field: {error!r}") from error
-
-
-def model_hash(model: mujoco.MjModel) -> str:
-    """SHA-256 of the compiled model, so that every included file counts."""
-    content = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
-    mujoco.mj_saveModel(model, None, content)
-    return sha256_of(content.tobytes())
-
-
-def make_envs(plan: Plan) -> VecEnv:
-    """The environments of a run, each with its own model."""
-    settings = plan.settings
+def make_loop(plan: Plan, curriculum: Curriculum | None = None) -> Loop:
+    """A run's learner, robots and replay before the first step."""
+    settings, task = plan.settings, plan.task
+    random.seed(settings.seed)  # frasa2024's starts are drawn from it
     with shown_share(f"settling {settings.pool} starts") as tell:
-        envs = StandUpVecEnv(
+        episodes = make_episodes(
             plan.model,
-            plan.task,
+            task,
             settings.envs,
             pool=settings.pool,
             seed=settings.seed,
+            threads=settings.physics_threads,
             tell=tell,
+            curriculum=curriculum,
         )
-    return VecMonitor(envs)
+    bound, joints = bounds(task), len(task.joints)
+    learner = build(settings, bound, joints, plan.device)
+    replay = Replay(
+        settings.buffer,
+        settings.envs,
+        bound.size,
+        joints,
+        n_step=settings.n_step,
+        discount=settings.discount,
+        seed=settings.seed,
+    )
+    return Loop(settings, learner, Collector(episodes, settings.noise_correlation, settings.seed), replay)
 
 
-def _learn(model: CrossQ, plan: Plan, description: dict[str, Any], elapsed_s: float) -> dict[str, Any]:
-    def keep(now_s: float) -> None:
-        save_checkpoint(model, plan.out, now_s)
-        trained = {"trained": {"steps": model.num_timesteps, "minutes": now_s / 60.0}}
-        plain_policy(model, {**description, **trained}).save(plan.out / FOLDER)
+class _Run:
+    """A run on its way."""
 
-    progress = Progress(plan.out, plan.steps, plan.minutes, elapsed_s, plan.settings.checkpoint_steps, keep)
-    model.set_logger(configure(str(plan.out / "tensorboard"), ["tensorboard"]))
-    say(f"training in {plan.out} on {model.device.type}, model {plan.model}")
-    with stop_on_signals(progress):
-        model.learn(10**9, callback=progress, log_interval=20, reset_num_timesteps=False)
-        keep(progress.elapsed_s)
-    progress.add_row()
-    progress.show()
-    with suppress(ModuleNotFoundError):  # the curve is drawn where matplotlib is installed
-        from frasa_rl.curve import draw_curve
+    def __init__(self, plan: Plan, description: dict[str, Any], loop: Loop) -> None:
+        self._plan, self._description, self._loop = plan, description, loop
+        self._settings, self._mark = plan.settings, mark_of(description)
+        self._logger = configure(str(plan.out / "tensorboard"), ["tensorboard"])
+        loop.learner.log_to(self._logger)
+        self._progress = Progress(plan.out, plan.ends, self._logger.record, self._logger.dump)
+        self._evaluations = Evaluations(plan.out, plan.until_success)
+        self._held_out: HeldOut | None = None
+        self._interrupt = Interrupt()
+        self._saved_at = 0
 
-        draw_curve(plan.out)
-    if progress.stopped == "interrupted":
-        raise InterruptedRunError(f"interrupted; saved in {plan.out}, continue with --resume {plan.out}")
-    return _result(plan, model, progress)
+    def go(self, *, resume: bool) -> dict[str, Any]:
+        out = self._plan.out
+        if resume:
+            load_checkpoint(out, self._mark, self._loop.learner.load, self._restore)
+            self._saved_at = self._loop.steps
+        else:  # the first one comes before run.yaml: what says it is a run can be resumed
+            shutil.rmtree(out / CHECKPOINTS, ignore_errors=True)
+            self._progress.start(0.0)
+            self._save()
+        write_atomic(out / RUN_FILE, yaml.safe_dump(self._description, sort_keys=False))
+        say(f"{'going on' if resume else 'training'} in {out} on {self._loop.learner.device}, model {self._plan.model}")
+        with self._interrupt.watch():
+            stopped = self._rounds()
+        self._progress.add_row()
+        self._progress.show()
+        with suppress(ModuleNotFoundError):  # the curve is drawn where matplotlib is installed
+            from frasa_rl.curve import draw_curve
+
+            draw_curve(out)
+        if stopped == "interrupted":
+            raise InterruptedRunError(f"interrupted; saved in {out}, continue with --resume {out}")
+        return self._result(stopped)
+
+    def _rounds(self) -> str:
+        """Until the run is over: why it is."""
+        while True:
+            over = self._over()
+            if over != "interrupted" and self._evaluation_due(over):
+                self._evaluate()
+                over = self._over()
+            if over is not None or self._loop.steps - self._saved_at >= self._settings.checkpoint_steps:
+                self._save()
+            if over is not None:
+                return over
+            got = self._loop.round()
+            self._progress.note(self._loop.steps, self._loop.learner.updates, got)
+
+    def _over(self) -> str | None:
+        if self._interrupt.asked:
+            return "interrupted"
+        if self._evaluations.holds:
+            return "success"
+        return self._plan.ends.reached(self._loop.steps, self._progress.elapsed_s)
+
+    def _evaluation_due(self, over: str | None) -> bool:
+        """Counted in steps, so that a resumed run has the same ones; and at the end, for the last policy."""
+        each, before, now = self._settings.evaluate_steps, self._evaluations.evaluated_steps, self._loop.steps
+        return each > 0 and (now // each > before // each or (over is not None and now > before))
+
+    def _evaluate(self) -> None:
+        """Let the present policy try held-out falls; publish it when it is the best so far."""
+        begun = time.monotonic()
+        if self._held_out is None:
+            plan, settings = self._plan, self._settings
+            self._held_out = HeldOut(plan.model, plan.task, settings.evaluate_falls, settings.evaluate_physics)
+        policy = self._loop.learner.actor().policy({})
+        got = self._held_out.run(policy, self._evaluations.next_set)
+        minutes = self._progress.elapsed_s / 60.0
+        if self._evaluations.add(self._loop.steps, minutes, got.prone, got.supine, got.time_s):
+            held_out = {"prone": got.prone, "supine": got.supine, "time_s": got.time_s, "physics": self._physics}
+            self._publish(self._policy(policy, {"held_out": held_out}))
+        for name in ("prone", "supine", "success", "time_s"):
+            if np.isfinite(getattr(got, name)):
+                self._logger.record(f"held_out/{name}", getattr(got, name))
+        self._logger.record("run/evaluation_s", time.monotonic() - begun)
+        self._logger.dump(self._loop.steps)
+        self._remark()
+
+    @property
+    def _physics(self) -> str:
+        return self._settings.evaluate_physics
+
+    def _remark(self) -> None:
+        last = self._evaluations.last
+        self._progress.remark = "" if last is None else shown(last)
+
+    def _policy(self, policy: Policy, more: dict[str, Any]) -> Policy:
+        """A policy that says how it was trained."""
+        trained = {"steps": self._loop.steps, "minutes": self._progress.elapsed_s / 60.0, **more}
+        return Policy(policy.layers, {**self._description, "trained": trained})
+
+    def _save(self) -> None:
+        """A checkpoint, and the newest policy, which is the published one as long as none was evaluated."""
+        begun = time.monotonic()
+        state = {
+            **self._loop.snapshot(),
+            **nested("progress", self._progress.snapshot()),
+            **nested("evaluations", self._evaluations.snapshot()),
+        }
+        save_checkpoint(self._plan.out, self._loop.steps, self._mark, self._loop.learner.save(), state)
+        newest = self._policy(self._loop.learner.actor().policy({}), {})
+        newest.save(self._plan.out / LATEST)
+        if self._evaluations.best is None:
+            self._publish(newest)
+        self._saved_at = self._loop.steps
+        self._logger.record("run/checkpoint_s", time.monotonic() - begun)
+
+    def _publish(self, policy: Policy) -> None:
+        """The run's policy, with all that a robot must know to run it."""
+        publish(policy, deployment(policy.run, self._plan.task, self._plan.model), self._plan.out / FOLDER)
+
+    def _restore(self, kept: Arrays) -> None:
+        self._loop.restore(kept)
+        self._progress.restore(part("progress", kept))
+        self._evaluations.restore(part("evaluations", kept))
+        self._remark()
+
+    def _result(self, stopped: str) -> dict[str, Any]:
+        returns = [row[2] for row in self._progress.rows if np.isfinite(row[2])]
+        best = self._evaluations.best
+        return {
+            "schema": "frasa.train/1",
+            "run": self._plan.out,
+            "policy": self._plan.out / FOLDER,
+            "steps": self._loop.steps,
+            "updates": self._loop.learner.updates,
+            "minutes": self._progress.elapsed_s / 60.0,
+            "return_first": returns[0] if returns else None,
+            "return_last": returns[-1] if returns else None,
+            "return_best": max(returns, default=None),
+            "held_out": None if best is None else _told(best),
+            "stopped": stopped,
+        }
 
 
-def _result(plan: Plan, model: CrossQ, progress: Progress) -> dict[str, Any]:
-    returns = [row[2] for row in progress.rows if np.isfinite(row[2])]
+def _told(row: list[float]) -> dict[str, Any]:
+    """The best policy's evaluation for --json."""
+    steps, _, _, prone, supine, time_s, _ = row
     return {
-        "schema": "frasa.train/1",
-        "run": plan.out,
-        "policy": plan.out / FOLDER,
-        "steps": model.num_timesteps,
-        "updates": model._n_updates,
-        "minutes": progress.elapsed_s / 60.0,
-        "return_first": returns[0] if returns else None,
-        "return_last": returns[-1] if returns else None,
-        "return_best": max(returns, default=None),
-        "stopped": progress.stopped,
+        "steps": int(steps),
+        "success_prone": prone,
+        "success_supine": supine,
+        "time_mean_s": time_s if np.isfinite(time_s) else None,
     }
 
 
-def _check_same_model(now: dict[str, Any], then: dict[str, Any]) -> None:
+def _check_same(now: dict[str, Any], then: dict[str, Any]) -> None:
+    """A run is not continued on another model; with other versions it is, but it says so."""
     if now["model_sha256"] != then.get("model_sha256"):
         raise CalibrationError(
             f"{now['model']} (calibration {now['calibration_id']}) is not the model this run was started with "
             f"(calibration {then.get('calibration_id')}): start a new run"
         )
-
-
-def extended(plan: Plan, steps: int | None, minutes: float | None) -> Plan:
-    """The same plan with another end, where one is given."""
-    return plan if steps is None and minutes is None else replace(plan, steps=steps, minutes=minutes)
+    versions = then.get("versions") or {}
+    changed = [
+        f"{name} {versions.get(name)} -> {one}" for name, one in now["versions"].items() if versions.get(name) != one
+    ]
+    if changed:
+        say(f"resuming with other versions ({', '.join(changed)}): an unbroken run would have come to other numbers")

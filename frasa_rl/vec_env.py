@@ -10,13 +10,9 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from frasa_rl.batch_env import StandUpBatch
 from frasa_rl.config import Task
+from frasa_rl.episodes import make_episodes
 from frasa_rl.observation import bounds
-from frasa_rl.pool import Pool, cache_folder
-from frasa_rl.starts import StartMaker
-from frasa_rl.task_model import build_model
-from frasa_sysid.calibration import calibration_id, load_calibration
 
 _START = Task()
 
@@ -55,12 +51,11 @@ class StandUpVecEnv(VecEnv):
         keep: bool = True,
         tell: Callable[[float], None] = lambda _: None,
     ) -> None:
-        compiled = build_model(Path(model), task)
-        self.task, self.calibration_id = task, calibration_id(compiled)
-        calibration = load_calibration(Path(model))
-        maker = StartMaker(compiled, task, calibration, randomize=randomize, threads=threads)
-        self.pool = Pool(maker, calibration, pool, seed, cache_folder() if keep else None, tell)
-        self.core = StandUpBatch(compiled, task, count, threads)
+        self.episodes = make_episodes(
+            model, task, count, randomize=randomize, pool=pool, seed=seed, threads=threads, keep=keep, tell=tell
+        )
+        self.task, self.calibration_id = task, self.episodes.calibration_id
+        self.pool, self.core = self.episodes.pool, self.episodes.core
         limit = bounds(task)
         self.render_mode = None
         super().__init__(
@@ -68,7 +63,6 @@ class StandUpVecEnv(VecEnv):
             spaces.Box(-limit, limit, dtype=np.float32),
             spaces.Box(-1.0, 1.0, (len(task.joints),), dtype=np.float32),
         )
-        self.seed(seed)
         self._actions = np.zeros((count, len(task.joints)))
 
     @property
@@ -79,9 +73,7 @@ class StandUpVecEnv(VecEnv):
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Restart the choice of starts."""
         first = 0 if seed is None else seed
-        self._rngs = [
-            np.random.default_rng(np.random.SeedSequence(first, spawn_key=(1, place))) for place in range(self.count)
-        ]
+        self.episodes.seed(first)
         return [first] * self.count
 
     @property
@@ -91,11 +83,8 @@ class StandUpVecEnv(VecEnv):
 
     def reset(self) -> VecEnvObs:
         """Start an episode of every robot."""
-        for place in range(self.count):
-            self._restart(place)
-        self.core.batch.look()
         self.reset_infos = [{} for _ in range(self.count)]
-        return self.core.batch.observation.copy()
+        return self.episodes.begin()
 
     def step_async(self, actions: np.ndarray) -> None:
         """Remember the actions; they are simulated in `step_wait`."""
@@ -103,30 +92,21 @@ class StandUpVecEnv(VecEnv):
 
     def step_wait(self) -> VecEnvStepReturn:
         """Simulate a control period of all robots."""
-        out = self.core.step(self._actions)
-        over = out.terminated | out.truncated
+        step = self.episodes.step(self._actions)
+        out = step.out
         infos: list[dict[str, Any]] = [{"posture": one} for one in out.terms[0].tolist()]
-        for place in np.flatnonzero(over):
+        for place in np.flatnonzero(step.over):
             infos[place] |= {
                 "terminal_observation": out.observation[place],
                 "TimeLimit.truncated": bool(out.truncated[place]),
                 "is_success": bool(out.success[place]),
                 "diverged": bool(out.diverged[place]),
             }
-            self._restart(int(place))
-        seen = out.observation
-        if over.any():
-            self.core.batch.look()
-            seen = np.where(over[:, None], self.core.batch.observation, seen)
-        return seen, out.reward.astype(np.float32), over, infos
-
-    def _restart(self, place: int) -> None:
-        chosen = int(self._rngs[place].integers(len(self.pool)))
-        self.core.begin(place, self.pool.starts[chosen], look=False)
+        return step.following, step.reward.astype(np.float32), step.over, infos
 
     def close(self) -> None:
         """End the threads."""
-        self.core.close()
+        self.episodes.close()
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """An attribute, once for every place asked for."""

@@ -13,9 +13,9 @@ from rich.progress import Progress as Bar
 from frasa_rl.commands.evaluate import add_protocol, run_protocol
 from frasa_rl.commands.task_option import chosen_task
 from frasa_rl.evaluate import DEFAULT_MODEL
+from frasa_rl.fall_trials import Falls
 from frasa_rl.keyframe import KEYFRAMES, load_controller
 from frasa_rl.keyframe_file import load_keyframes, save_keyframes
-from frasa_rl.keyframe_trials import Falls
 from frasa_rl.protocol import evaluation_task
 from frasa_rl.routine import Keyframes
 from frasa_sysid.calibration import InterruptedRunError, UsageError, say

@@ -17,7 +17,8 @@ pytest.importorskip("sb3_contrib")
 @pytest.fixture(scope="module")
 def run(robot_model_dir, tmp_path_factory):
     folder = tmp_path_factory.mktemp("cli") / "run"
-    assert main(["train", "--model", str(robot_model_dir / "nominal.xml"), "--steps", "200", "--out", str(folder)]) == 0
+    words = ["train", "--model", str(robot_model_dir / "nominal.xml"), "--steps", "200", "--evaluate-falls", "1"]
+    assert main([*words, "--out", str(folder)]) == 0
     return folder
 
 
@@ -73,13 +74,14 @@ def test_rank_orders_its_candidates(run, nominal, monkeypatch, capsys):
 
 def test_train_prints_its_result(nominal, tmp_path, capsys):
     """train --json says where the policy is and why it stopped; people read standard error."""
-    code = main(
-        ["train", "--model", str(nominal), "--steps", "40", "--out", str(tmp_path / "r"), "--json", "--seed", "5"]
-    )
-    assert code == 0
-    said = json.loads(capsys.readouterr().out)
+    words = ["train", "--model", str(nominal), "--steps", "40", "--out", str(tmp_path / "r"), "--json", "--seed", "5"]
+    assert main([*words, "--algorithm", "sac", "--evaluate-falls", "1"]) == 0
+    out, err = capsys.readouterr()
+    said = json.loads(out)
     assert said["schema"] == "frasa.train/1"
     assert said["stopped"] == "steps"
+    assert set(said["held_out"]) == {"steps", "success_prone", "success_supine", "time_mean_s"}
+    assert "held-out 0 % prone 0 % supine" in err
 
 
 @pytest.mark.parametrize("start", ["supine", "push-back"])
@@ -118,7 +120,10 @@ def test_play_writes_a_film(run, nominal, start, tmp_path, capsys):
     [
         (["train", "--model", "missing.xml", "--steps", "10"], 3, "no model at missing.xml"),
         (["train", "--model", "MODEL"], 2, "needs an end"),
+        (["train", "--model", "MODEL", "--until-success", "1.5"], 2, "at most 1"),
+        (["train", "--model", "MODEL", "--until-success", "0.9", "--evaluate-steps", "0"], 2, "needs evaluations"),
         (["train", "--resume", "missing", "--seed", "1"], 2, "--seed from the run itself"),
+        (["train", "--resume", "missing", "--env-threads", "1"], 2, "--env-threads from the run itself"),
         (["train", "--resume", "missing"], 3, "expected the folder of a run"),
         (["evaluate", "missing"], 3, "no policy at missing"),
         (["evaluate", "missing.zip"], 3, "no policy at missing.zip"),

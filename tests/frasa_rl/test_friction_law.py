@@ -131,28 +131,29 @@ def test_copies_of_the_model_are_drawn_apart(with_law):
 def test_the_environments_of_a_run_feel_it_too(with_law, tmp_path):
     """A run's robots move as one alone does from the same start; without the law they move otherwise."""
     pytest.importorskip("sb3_contrib")
+    from frasa_rl.plan import Plan
     from frasa_rl.settings import Settings
-    from frasa_rl.train import Plan, make_envs
+    from frasa_rl.train import make_loop
 
-    settings = Settings(envs=2, pool=3, physics="model")
+    settings = Settings(envs=2, pool=3, physics="model", buffer=100)
     plan = Plan(model=with_law, out=tmp_path, settings=settings, steps=10, device="cpu")
-    envs = make_envs(plan)
+    loop = make_loop(plan)
     try:
-        envs.reset()
-        run = envs.unwrapped
-        chosen = int(np.random.default_rng(np.random.SeedSequence(0, spawn_key=(1, 0))).integers(3))
+        episodes = loop.collector.episodes
         alone = StandUp(with_law, plan.task)
-        alone.core.begin(0, run.pool.starts[chosen])
+        chosen = int(episodes.chosen[0])
+        alone.core.begin(0, episodes.pool.starts[chosen])
         rng = np.random.default_rng(3)
-        actions = rng.uniform(-1.0, 1.0, (10, *envs.action_space.shape))
+        actions = rng.uniform(-1.0, 1.0, (10, len(plan.task.joints)))
         for action in actions:
-            last = envs.step(np.tile(action, (2, 1)))[0]
+            last = episodes.step(np.tile(action, (2, 1))).following
             felt = alone.step(action)[0]
+        pool = episodes.pool
     finally:
-        envs.close()
+        loop.close()
     np.testing.assert_array_equal(last[0], felt)
     with lawless():
-        alone.core.begin(0, run.pool.starts[chosen])
+        alone.core.begin(0, pool.starts[chosen])
         for action in actions:
             unfelt = alone.step(action)[0]
     assert np.abs(unfelt - felt).max() > 1e-3

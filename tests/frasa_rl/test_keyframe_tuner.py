@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from frasa_rl.fall_trials import Falls, Trial
 from frasa_rl.keyframe import KeyframeController
 from frasa_rl.keyframe_file import load_keyframes
-from frasa_rl.keyframe_trials import Falls, Trial
 from frasa_rl.keyframe_tuner import Tuning, cost_of, decode, encode, tune
 from frasa_rl.protocol import evaluation_task
 from frasa_rl.routine import Key, Routine

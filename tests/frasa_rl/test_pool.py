@@ -84,6 +84,21 @@ def test_a_pool_read_again_is_the_pool_that_was_made(calibrated, folder):
         assert_same(one, other)
 
 
+def test_a_pool_knows_the_kinds_of_its_starts(calibrated, folder):
+    """Near the pose, falling or lying, as released; also where it was read; others can be asked for."""
+    (made, _), (kept, _) = (pool_of(calibrated, folder) for _ in range(2))
+    for pool in (made, kept):
+        found = np.concatenate([pool.of_kind(kind) for kind in ("target", "falling", "random")])
+        assert sorted(found) == list(range(6))
+        assert [one.kind for one in pool.starts] == [one.kind for one in made.starts]
+    assert made.of_kind("target").size
+    sides = Pool(
+        maker_of(calibrated), load_calibration(calibrated), 2, 0, folder, kinds=["prone", "supine"], branch=(2,)
+    )
+    assert [one.kind for one in sides.starts] == ["prone", "supine"]
+    assert sides.starts[0].drawn["floor_friction"] != made.starts[0].drawn["floor_friction"]
+
+
 def test_a_maker_that_has_drawn_before_makes_the_same_pool(calibrated, folder):
     """Neither the key nor the starts depend on what was drawn before."""
     maker, ranges = maker_of(calibrated), load_calibration(calibrated)
@@ -163,18 +178,20 @@ def test_all_that_a_pool_depends_on_is_in_its_key(calibrated, nominal, monkeypat
     heavier = build_model(calibrated, TASK)
     heavier.body_mass[3] *= 1.0 + 1e-12
     keys = [
-        pool_key(model, TASK, ranges, 8, 0),
-        pool_key(build_model(nominal, TASK), TASK, ranges, 8, 0),
-        pool_key(heavier, TASK, ranges, 8, 0),
-        pool_key(model, replace(TASK, still_speed=0.06), ranges, 8, 0),
-        pool_key(model, TASK, wider, 8, 0),
-        pool_key(model, TASK, None, 8, 0),
-        pool_key(model, TASK, ranges, 9, 0),
-        pool_key(model, TASK, ranges, 8, 1),
+        pool_key(model, TASK, ranges, ["any"] * 8, 0),
+        pool_key(build_model(nominal, TASK), TASK, ranges, ["any"] * 8, 0),
+        pool_key(heavier, TASK, ranges, ["any"] * 8, 0),
+        pool_key(model, replace(TASK, still_speed=0.06), ranges, ["any"] * 8, 0),
+        pool_key(model, TASK, wider, ["any"] * 8, 0),
+        pool_key(model, TASK, None, ["any"] * 8, 0),
+        pool_key(model, TASK, ranges, ["any"] * 9, 0),
+        pool_key(model, TASK, ranges, ["any"] * 8, 1),
+        pool_key(model, TASK, ranges, ["prone"] * 8, 0),
+        pool_key(model, TASK, ranges, ["any"] * 8, 0, (2,)),
     ]
-    assert pool_key(build_model(calibrated, TASK), TASK, load_calibration(calibrated), 8, 0) == keys[0]
+    assert pool_key(build_model(calibrated, TASK), TASK, load_calibration(calibrated), ["any"] * 8, 0) == keys[0]
     monkeypatch.setattr(mujoco, "__version__", "9.9.9")
-    keys.append(pool_key(model, TASK, ranges, 8, 0))
+    keys.append(pool_key(model, TASK, ranges, ["any"] * 8, 0))
     assert len(set(keys)) == len(keys)
 
 

@@ -300,10 +300,11 @@ def test_a_run_keeps_its_task(model_path, task, tmp_path):
     """run.yaml brings the task back, and training with it learns: updates are made."""
     pytest.importorskip("sb3_contrib")
     from frasa_rl.physics import with_physics
+    from frasa_rl.plan import Plan, plan_of
     from frasa_rl.settings import Settings
-    from frasa_rl.train import Plan, plan_of, train
+    from frasa_rl.train import train
 
-    settings = Settings(envs=4, pool=8, learning_starts=100, threads=1)
+    settings = Settings(envs=4, rollout_steps=16, pool=8, learning_starts=100, threads=1, evaluate_falls=1)
     plan = Plan(model_path, tmp_path / "run", settings, steps=160, device="cpu", task=task)
     assert train(plan)["updates"] > 0
     again = plan_of(tmp_path / "run")

@@ -190,12 +190,11 @@ def test_a_missing_file_says_where_to_look(tmp_path):
 
 def test_shares_of_starts_are_the_presets_unless_the_file_says_so(write):
     """And frasa2024 has none that fall; the settings that a run keeps say the same as its task."""
-    from frasa_rl.commands.train import _task_and_settings
+    from frasa_rl.commands.train import _SETTINGS, _task_and_settings
 
     def chosen(text, compat=None):
         args = argparse.Namespace(task=write(text) if text else None, compat=compat, preset="quick")
-        unset = dict.fromkeys(("envs", "threads", "physics"))
-        task, settings = _task_and_settings(argparse.Namespace(**vars(args), seed=1, **unset))
+        task, settings = _task_and_settings(argparse.Namespace(**vars(args), **dict.fromkeys(_SETTINGS)))
         assert (task.near_target_share, task.falling_share) == (settings.near_target_share, settings.falling_share)
         return task
 
@@ -209,9 +208,9 @@ def test_shares_of_starts_are_the_presets_unless_the_file_says_so(write):
 def test_training_as_the_published_environment_does(nominal, tmp_path, monkeypatch):
     """--compat frasa2024 runs, and run.yaml says what it is."""
     pytest.importorskip("sb3_contrib")
-    from frasa_rl.train import plan_of
+    from frasa_rl.plan import plan_of
 
-    monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["quick"], pool=2, envs=2))
+    monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["quick"], pool=2, envs=2, rollout_steps=8, evaluate_falls=1))
     words = ["train", "--model", str(nominal), "--steps", "16", "--out", str(tmp_path / "run")]
     assert main([*words, "--compat", "frasa2024"]) == 0
     task = plan_of(tmp_path / "run").task

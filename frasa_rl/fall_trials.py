@@ -1,4 +1,4 @@
-"""Stand-up trials of many controllers side by side, as the tuner of keyframes needs them: ends of the task included.
+"""Stand-up trials of many controllers side by side, with the ends of the task: for tuning, and to watch training.
 
 A trial starts lying and ends with success, with the end of the episode, or when its time is up; its robot then rests.
 """
@@ -45,6 +45,7 @@ class Falls:
     Attributes:
         task: with an `episode_s` that is long enough for a trial.
         robot: where things are in the model.
+        maker: makes the falls.
 
     Args:
         model: a model file; a calibrated one brings its ranges along.
@@ -60,8 +61,8 @@ class Falls:
     def __init__(self, model: Path, task: Task, *, randomize: bool = False, threads: int | None = None) -> None:
         self.task, self._threads = task, threads
         self._model = build_model(model, task)
-        self._maker = StartMaker(self._model, task, load_calibration(model), randomize=randomize, threads=threads)
-        self.robot = self._maker.robot
+        self.maker = StartMaker(self._model, task, load_calibration(model), randomize=randomize, threads=threads)
+        self.robot = self.maker.robot
 
     def make(self, side: Side, seeds: Sequence[int]) -> list[Start]:
         """Robots at rest on a side, one for each seed, which decides all of its chance.
@@ -69,7 +70,7 @@ class Falls:
         Raises:
             ModelError: no release came to rest as asked.
         """
-        return self._maker.make([np.random.default_rng(seed) for seed in seeds], [side] * len(seeds))
+        return self.maker.make([np.random.default_rng(seed) for seed in seeds], [side] * len(seeds))
 
     def run(
         self, controllers: Sequence[Controller], starts: Sequence[Start], longest_s: Sequence[float]

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from frasa_rl.controllers import Nothing
+from frasa_rl.fall_trials import Falls
 from frasa_rl.keyframe import KeyframeController
 from frasa_rl.keyframe_file import load_keyframes
-from frasa_rl.keyframe_trials import Falls
 from frasa_rl.protocol import SIDES, evaluation_task
 from frasa_rl.simulation import Simulation
 from frasa_rl.standup_env import StandUp

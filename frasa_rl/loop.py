@@ -1,0 +1,99 @@
+"""Rounds of training: robots are stepped while the learner learns from what they did before.
+
+In a round the robots act as the policy was at its beginning, and the learner draws from what was there at its
+beginning: whoever is faster waits, so that the result is the same on any machine, however busy it is.
+"""
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import Any
+
+import numpy as np
+
+from frasa_rl.collector import Collector, Round
+from frasa_rl.learner import Learner
+from frasa_rl.replay import Replay
+from frasa_rl.settings import Settings
+from frasa_rl.snapshots import Arrays, nested, part
+
+_AT_ONCE = 64  # batches drawn together; more only need more memory
+
+
+class Loop:
+    """A learner, its robots, and what they did.
+
+    Attributes:
+        learner: learns.
+        collector: has the robots.
+        replay: what they did.
+        steps: transitions so far.
+
+    Args:
+        settings: how they go together.
+        learner: nobody else's, as the others are.
+        collector: of `settings.envs` robots.
+        replay: of as many.
+    """
+
+    def __init__(self, settings: Settings, learner: Learner, collector: Collector, replay: Replay) -> None:
+        self.learner, self.collector, self.replay = learner, collector, replay
+        self.steps = 0
+        self._settings = settings
+        self._beside = ThreadPoolExecutor(1, "collector")
+
+    def round(self) -> Round:
+        """Gather a round's transitions, and make its updates once there is enough to learn from."""
+        steps, updates = self._settings.rounds
+        starting = self.steps < self._settings.learning_starts
+        actor = None if starting else self.learner.actor()
+        if self._settings.overlap and not starting and len(self.replay):
+            gathering = self._beside.submit(self.collector.collect, actor, steps)
+            try:
+                self._learn(updates)
+            finally:
+                wait([gathering])  # physics must not go on while an error or a signal ends the run
+            got = gathering.result()
+            self._keep(got)
+        else:
+            got = self.collector.collect(actor, steps)
+            self._keep(got)
+            if not self._settings.overlap and self.steps >= self._settings.learning_starts:
+                self._learn(updates)
+        self.collector.episodes.curriculum.note(self.steps, got.success)
+        return got
+
+    def _learn(self, updates: int) -> None:
+        while updates > 0:
+            many = min(updates, _AT_ONCE)
+            self.learner.update(self.replay.draw(many, self._settings.batch))
+            updates -= many
+
+    def _keep(self, got: Round) -> None:
+        self.replay.add(got.transitions)
+        self.steps += got.transitions.rewards.size
+
+    def snapshot(self) -> Arrays:
+        """All of it but what the learner saves itself, for a checkpoint."""
+        return {
+            "steps": np.array(self.steps),
+            **nested("learner", self.learner.snapshot()),
+            **nested("collector", self.collector.snapshot()),
+            **nested("replay", self.replay.snapshot()),
+        }
+
+    def restore(self, kept: Mapping[str, np.ndarray[Any, Any]]) -> None:
+        """The other way round.
+
+        Raises:
+            KeyError: something is missing.
+            ValueError: it is of other settings.
+        """
+        self.collector.restore(part("collector", kept))
+        self.replay.restore(part("replay", kept))
+        self.learner.restore(part("learner", kept))
+        self.steps = int(kept["steps"])
+
+    def close(self) -> None:
+        """End the threads."""
+        self._beside.shutdown()
+        self.collector.episodes.close()

@@ -1,0 +1,147 @@
+"""What a run is: its model, task, settings and ends, and the run.yaml that says all of it."""
+
+import platform
+from dataclasses import asdict, dataclass, field, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import yaml
+
+from frasa_rl import __version__
+from frasa_rl.config import Task
+from frasa_rl.held_out import SEED
+from frasa_rl.observation import layout
+from frasa_rl.physics import with_physics
+from frasa_rl.policy import RUN_FILE, read_run
+from frasa_rl.settings import Settings
+from frasa_rl.stopping import Ends
+from frasa_rl.task_file import task_from
+from frasa_rl.task_text import task_data
+from frasa_sysid.calibration import InputError, calibration_id, load_model, plain, sha256_of
+
+SCHEMA = "frasa.run/2"
+_PACKAGES = ("mujoco", "numpy", "numba", "gymnasium", "stable-baselines3", "sb3-contrib", "torch")
+_NO_MATTER = ("threads", "env_threads", "checkpoint_steps")  # to what a run comes to
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to train, for how long, and where to.
+
+    Attributes:
+        model: a model file.
+        out: the run folder.
+        settings: of learning.
+        steps, minutes, until_success: the run ends at whichever comes first (`Ends`); None for no limit.
+        device: `auto`, `cpu` or `cuda`.
+        task: what is trained; its shares of starts, leading rewards and physics are those of the settings.
+    """
+
+    model: Path
+    out: Path
+    settings: Settings
+    steps: int | None = None
+    minutes: float | None = None
+    until_success: float | None = None
+    device: str = "auto"
+    task: Task = field(default_factory=Task)
+
+    def __post_init__(self) -> None:
+        own = self.settings
+        task = replace(
+            self.task,
+            near_target_share=own.near_target_share,
+            falling_share=own.falling_share,
+            reward=replace(self.task.reward, rising=own.rising, approach=own.approach),
+        )
+        object.__setattr__(self, "task", with_physics(task, own.physics))
+
+    @property
+    def ends(self) -> Ends:
+        """When the run is over."""
+        return Ends(self.steps, self.minutes, self.until_success)
+
+    def until(self, steps: int | None, minutes: float | None, until_success: float | None = None) -> "Plan":
+        """The same plan with other ends, where one is given."""
+        if steps is None and minutes is None and until_success is None:
+            return self
+        return replace(self, steps=steps, minutes=minutes, until_success=until_success)
+
+
+def describe(plan: Plan, curriculum: str = "Curriculum") -> dict[str, Any]:
+    """What run.yaml says: all that determines the run, in plain data.
+
+    Args:
+        plan: of the run.
+        curriculum: name of the class that chooses starts and pays; the default is the task as it is.
+    """
+    model, task = load_model(plan.model), plan.task
+    said: dict[str, Any] = plain(
+        {
+            "schema": SCHEMA,
+            "model": plan.model,
+            "model_sha256": model_hash(model),
+            "calibration_id": calibration_id(model),
+            "steps": plan.steps,
+            "minutes": plan.minutes,
+            "until_success": plan.until_success,
+            "device": plan.device,
+            "seeds": {"training": plan.settings.seed, "held_out": SEED},
+            "settings": asdict(plan.settings),
+            "curriculum": curriculum,
+            "observation": [{"name": one.name, "size": one.size, "unit": one.unit} for one in layout(task)],
+            "task": task_data(task),
+            "versions": {
+                "frasa": __version__,
+                "python": platform.python_version(),
+                **{name: version(name) for name in _PACKAGES},
+            },
+        }
+    )
+    return said
+
+
+def mark_of(description: dict[str, Any]) -> str:
+    """Hash of what a run comes to: runs with the same one can resume from each other's checkpoints."""
+    settings = {name: one for name, one in description["settings"].items() if name not in _NO_MATTER}
+    names = ("model_sha256", "calibration_id", "task", "curriculum")
+    said = [*(description[name] for name in names), settings]
+    return sha256_of(yaml.safe_dump(said).encode())
+
+
+def plan_of(run: Path) -> Plan:
+    """The plan that a run folder was started with.
+
+    Raises:
+        PolicyError: no run.yaml there.
+        InputError: one that this version cannot read.
+    """
+    said = read_run(run / RUN_FILE)
+    try:
+        if said["schema"] != SCHEMA:
+            raise ValueError(f"schema '{said['schema']}', expected '{SCHEMA}'")
+        settings: dict[str, Any] = {
+            name: tuple(one) if isinstance(one, list) else one for name, one in said["settings"].items()
+        }
+        return Plan(
+            model=Path(said["model"]),
+            out=run,
+            settings=Settings(**settings),
+            steps=said["steps"],
+            minutes=said["minutes"],
+            until_success=said["until_success"],
+            device=said["device"],
+            task=task_from(said["task"], str(run / RUN_FILE)),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{run / RUN_FILE}: missing or wrong field: {error!r}") from error
+
+
+def model_hash(model: mujoco.MjModel) -> str:
+    """SHA-256 of the compiled model, so that every included file counts."""
+    content = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    return sha256_of(content.tobytes())
