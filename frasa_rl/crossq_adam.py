@@ -2,7 +2,7 @@
 
 import math
 
-from frasa_rl.crossq_tiles import Array, compiled
+from frasa_rl.crossq_tiles import Array, compiled, not_inlined
 
 RATE, FIRST, SECOND, EPSILON = range(4)
 
@@ -15,6 +15,7 @@ def adam(value: Array, slope: Array, first: Array, second: Array, step: float, r
         value, slope, first, second: parameters, gradient and the two moments, one shape.
         rules: learning rate, the two decays, epsilon (float64: corrections are computed in it).
     """
+    not_inlined()
     kind = value.dtype.type
     size = kind(rules[RATE] / (1.0 - rules[FIRST] ** step))
     root = kind(math.sqrt(1.0 - rules[SECOND] ** step))

@@ -7,9 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from frasa_rl.crossq_adam import adam
-from frasa_rl.crossq_layers import backward, forward, refold, statistics
+from frasa_rl.crossq_layers import backward, forward, refold
 from frasa_rl.crossq_net import BATCH_MEAN, BATCH_VAR, IN_PANELS, Net, aligned, padded
-from frasa_rl.crossq_tiles import PANEL, ROWS, Array, compiled
+from frasa_rl.crossq_passes import moved, statistics
+from frasa_rl.crossq_tiles import PANEL, ROWS, Array, compiled, not_inlined
 
 CRITIC_LOSS, ACTOR_LOSS, ENTROPY, ENTROPY_LOSS = range(4)  # columns of what `updates` writes
 _LOG_STD_MIN, _LOG_STD_MAX = -20.0, 2.0
@@ -72,6 +73,7 @@ def room(batch: int, actions: int, widest: int, dtype: npt.DTypeLike) -> Room:
 @compiled
 def _put(net: Net, rows: int, row: int, column: int, source: Array) -> None:
     """Write a matrix into the input panels, from this row and column on."""
+    not_inlined()
     x, count = net.active[0], source.shape[1]
     for panel in range(column // PANEL, (column + count - 1) // PANEL + 1):
         first, last = max(column, panel * PANEL), min(column + count, (panel + 1) * PANEL)
@@ -84,16 +86,16 @@ def _put(net: Net, rows: int, row: int, column: int, source: Array) -> None:
 @compiled
 def _center(net: Net, rows: int, real: int, center: Array) -> None:
     """Subtract it from the input."""
+    not_inlined()
     for panel in range(net.table[0, IN_PANELS]):
         x, here = net.active[0, panel * rows * PANEL :], center[panel * PANEL : (panel + 1) * PANEL]
-        for n in range(0, real * PANEL, PANEL):
-            for j in range(PANEL):
-                x[n + j] -= here[j]
+        moved(real, x, here)
 
 
 @compiled
 def _measure(net: Net, rows: int, real: int) -> None:
     """Statistics of the input, for all networks."""
+    not_inlined()
     for panel in range(net.table[0, IN_PANELS]):
         k = panel * PANEL
         x = net.active[0, k * rows : (k + PANEL) * rows]
@@ -106,6 +108,7 @@ def _measure(net: Net, rows: int, real: int) -> None:
 @compiled
 def _squash(actor: Net, rows: int, noise: Array, room: Room) -> None:
     """Draw actions from the actor's output, and their log probability, as SB3 computes it."""
+    not_inlined()
     y, (batch, count) = actor.result[0], noise.shape
     for n in range(batch):
         total = 0.0
@@ -128,6 +131,7 @@ def _critic_losses(
     critic: Net, batch: int, rewards: Array, dones: Array, discounts: Array, alpha: float, room: Room
 ) -> float:
     """Leave the gradient of the critics' loss in their `result`; return the loss."""
+    not_inlined()
     q, loss = critic.result, 0.0
     for n in range(batch):
         after = q[0, batch + n]
@@ -179,6 +183,7 @@ def padded_rows(size: int) -> int:
 @compiled
 def _judge(critic: Net, observations: Array, rules: Rules, room: Room) -> float:
     """The critics' least value of the policy's actions; leaves minus its gradient in the input. Returns the mean."""
+    not_inlined()
     batch, seen = observations.shape
     rows, total = padded_rows(batch), 0.0
     center = critic.mean[0, : critic.table[0, IN_PANELS] * PANEL]
@@ -204,6 +209,7 @@ def _judge(critic: Net, observations: Array, rules: Rules, room: Room) -> float:
 @compiled
 def _actor_slopes(actor: Net, critic: Net, seen: int, alpha: float, room: Room) -> None:
     """The gradient of the actor's loss in its output, from that of its actions in the critics' input."""
+    not_inlined()
     batch, count = room.actions.shape
     rows = padded_rows(batch)
     y, x = actor.result[0], critic.active[0]
@@ -223,6 +229,7 @@ def _actor_slopes(actor: Net, critic: Net, seen: int, alpha: float, room: Room) 
 def _learn_actor(
     actor: Net, critic: Net, k: int, data: Any, alpha: float, rules: Rules, room: Room
 ) -> tuple[float, float]:
+    not_inlined()
     observations, noise = data[0], data[7]
     batch, seen = observations.shape[1], observations.shape[2]
     rows = padded_rows(batch)
@@ -259,6 +266,7 @@ def updates(
         done: updates made before.
         losses: written, shape (K, 4).
     """
+    not_inlined()
     refold(actor, 0, actor.mean[0, : actor.table[0, IN_PANELS] * PANEL], rules.actor_norm)
     for k in range(len(losses)):
         alpha = math.exp(entropy[0][0])

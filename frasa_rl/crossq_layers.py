@@ -22,12 +22,14 @@ from frasa_rl.crossq_net import (
     Net,
 )
 from frasa_rl.crossq_norm import fold, normalise
-from frasa_rl.crossq_tiles import PANEL, Array, compiled, product, product_of_rows
+from frasa_rl.crossq_passes import bias_and_rectify, masked, masked_single, statistics, weighted_sum
+from frasa_rl.crossq_tiles import PANEL, Array, compiled, not_inlined, product, product_of_rows
 
 
 @compiled
 def refold(net: Net, c: int, center: Array, rules: Array) -> None:
     """Weights for inference, good until the parameters or the running statistics change."""
+    not_inlined()
     for layer in range(len(net.table)):
         normalise(net, c, layer, False, center if layer == 0 else center[:0], rules)
         fold(net, c, layer)
@@ -40,6 +42,7 @@ def forward(net: Net, c: int, rows: int, real: int, training: bool, center: Arra
     In training the statistics of the input must lie in `norm`; otherwise `refold` must have been called. `center` is
     what was subtracted from the input.
     """
+    not_inlined()
     count = len(net.table)
     for layer in range(count):
         if training:
@@ -61,16 +64,15 @@ def forward(net: Net, c: int, rows: int, real: int, training: bool, center: Arra
             if last:
                 _add(here, offset)
             else:
-                _rectify(here, offset)
-                if training:
-                    start = net.table[layer + 1, STATISTIC] + panel * PANEL
-                    means = net.norm[c, BATCH_MEAN, start : start + PANEL]
-                    statistics(here, real, means, net.norm[c, BATCH_VAR, start : start + PANEL])
+                start = net.table[layer + 1, STATISTIC] + panel * PANEL
+                means = net.norm[c, BATCH_MEAN, start : start + PANEL]
+                bias_and_rectify(here, real, offset, means, net.norm[c, BATCH_VAR, start : start + PANEL])
 
 
 @compiled
 def _product_of_one(y: Array, x: Array, rows: int, real: int, weight: Array, bias: float, panels: int) -> None:
     """The output of a layer with a single one, shape (rows,)."""
+    not_inlined()
     for n in range(real):
         y[n] = bias
     for panel in range(panels):
@@ -84,34 +86,10 @@ def _product_of_one(y: Array, x: Array, rows: int, real: int, weight: Array, bia
 
 @compiled
 def _add(panel: Array, bias: Array) -> None:
+    not_inlined()
     for n in range(0, panel.size, PANEL):
         for j in range(PANEL):
             panel[n + j] += bias[j]
-
-
-@compiled
-def _rectify(panel: Array, bias: Array) -> None:
-    zero = panel.dtype.type(0)
-    for n in range(0, panel.size, PANEL):
-        for j in range(PANEL):
-            panel[n + j] = max(panel[n + j] + bias[j], zero)
-
-
-@compiled
-def statistics(panel: Array, real: int, mean: Array, var: Array) -> None:
-    """Mean and unbiased variance of the columns of a panel over its first `real` rows."""
-    mean[:], var[:] = 0, 0
-    for n in range(real):
-        for j in range(PANEL):
-            mean[j] += panel[n * PANEL + j]
-    for j in range(PANEL):
-        mean[j] /= real
-    for n in range(real):
-        for j in range(PANEL):
-            apart = panel[n * PANEL + j] - mean[j]
-            var[j] += apart * apart
-    for j in range(PANEL):
-        var[j] /= real - 1
 
 
 @compiled
@@ -123,6 +101,7 @@ def backward(net: Net, c: int, rows: int, real: int, learning: bool, to_input: b
         to_input: leave the input's gradient in its place in `active` (added to it for c > 0).
         room: scratch, shape (3, at least 32 times the largest of rows and padded widths).
     """
+    not_inlined()
     count = len(net.table)
     bias_slope, step, pull = room[0], room[1], room[2]
     for layer in range(count - 1, -1, -1):
@@ -147,6 +126,7 @@ def backward(net: Net, c: int, rows: int, real: int, learning: bool, to_input: b
 @compiled
 def _sum_rows(dy: Array, rows: int, real: int, outputs: int, total: Array) -> None:
     """Sum over rows of the last layer's gradient: single column or panels."""
+    not_inlined()
     total[:outputs] = 0
     for n in range(real):
         if outputs == 1:
@@ -161,6 +141,7 @@ def _parameter_slopes(
     net: Net, c: int, layer: int, rows: int, real: int, dy: Array, x: Array, bias_slope: Array, raw: Array
 ) -> None:
     """Gradients of a layer's weight and bias and of the normalisation before it."""
+    not_inlined()
     row = net.table[layer]
     inputs, outputs, start = row[IN], row[OUT], row[STATISTIC]
     slopes, values = net.slopes[c], net.values[c]
@@ -170,7 +151,7 @@ def _parameter_slopes(
         wide = min(PANEL, inputs - left)
         here = x[left * rows : (left + PANEL) * rows]
         if outputs == 1:
-            _weighted_sum(raw, dy, here, real)
+            weighted_sum(real, here, dy, raw)
         else:
             product_of_rows(raw, dy, 0, row[OUT_PANELS], here, 0, rows)
         k = start + left
@@ -192,14 +173,6 @@ def _parameter_slopes(
 
 
 @compiled
-def _weighted_sum(total: Array, dy: Array, panel: Array, real: int) -> None:
-    total[:PANEL] = 0
-    for n in range(real):
-        for j in range(PANEL):
-            total[j] += dy[n] * panel[n * PANEL + j]
-
-
-@compiled
 def _unnormalised(
     raw: Array,
     bias_slope: Array,
@@ -216,6 +189,7 @@ def _unnormalised(
     shift_slope: Array,
 ) -> None:
     """From sums of dy x (raw, shape (outputs, 32)) to gradients of weight, scale and shift."""
+    not_inlined()
     scale_slope[:], shift_slope[:] = 0, 0
     for o in range(outputs):
         slope, at = bias_slope[o], o * stride
@@ -245,6 +219,7 @@ def _pass_back(
     A normalised input's gradient g reaches the input as gain g + a + b x: a and b are how the batch's mean and variance
     answer, and need only sums of g and g x, which are the gradients of the normalisation's shift and scale.
     """
+    not_inlined()
     row = net.table[layer]
     start = row[STATISTIC]
     summed = pull[2 * PANEL : 3 * PANEL]
@@ -263,30 +238,12 @@ def _pass_back(
         here = x[panel * rows * PANEL : (panel + 1) * rows * PANEL]
         if row[OUT] == 1:
             left = row[PACKED] + panel * PANEL
-            _outer(step, dy, net.backward[c, left : left + PANEL], real)
+            weight = net.backward[c, left : left + PANEL]
+            masked_single(real, here, dy, weight, pull[:PANEL], pull[PANEL : 2 * PANEL], summed)
         else:
-            weight = row[PACKED] + panel * row[OUT_PANELS] * PANEL * PANEL
-            product(step, 0, dy, 0, rows, net.backward[c], weight, row[OUT_PANELS])
-        _masked(here, step, real, pull[:PANEL], pull[PANEL : 2 * PANEL], summed)
+            start_of = row[PACKED] + panel * row[OUT_PANELS] * PANEL * PANEL
+            product(step, 0, dy, 0, rows, net.backward[c], start_of, row[OUT_PANELS])
+            masked(real, here, step, pull[:PANEL], pull[PANEL : 2 * PANEL], summed)
         here[real * PANEL :] = 0
         pull[(3 + panel) * PANEL : (4 + panel) * PANEL] = summed
     bias_slope[: row[IN_PANELS] * PANEL] = pull[3 * PANEL : (3 + row[IN_PANELS]) * PANEL]
-
-
-@compiled
-def _outer(step: Array, dy: Array, weight: Array, real: int) -> None:
-    for n in range(real):
-        for j in range(PANEL):
-            step[n * PANEL + j] = dy[n] * weight[j]
-
-
-@compiled
-def _masked(x: Array, step: Array, real: int, level: Array, factor: Array, total: Array) -> None:
-    """X becomes step + level + factor x where x is above 0 and else 0; total its sum over rows, shape (32,)."""
-    zero = x.dtype.type(0)
-    total[:] = 0
-    for n in range(0, real * PANEL, PANEL):
-        for j in range(PANEL):
-            value = step[n + j] + level[j] + factor[j] * x[n + j] if x[n + j] > zero else zero
-            x[n + j] = value
-            total[j] += value

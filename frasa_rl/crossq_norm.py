@@ -33,7 +33,7 @@ from frasa_rl.crossq_net import (
     WEIGHT,
     Net,
 )
-from frasa_rl.crossq_tiles import PANEL, Array, compiled
+from frasa_rl.crossq_tiles import PANEL, Array, compiled, not_inlined
 
 _MOST_RATIO, _MOST_SHIFT = 3.0, 5.0  # rmax and dmax of sb3-contrib
 
@@ -46,6 +46,7 @@ def normalise(net: Net, c: int, layer: int, training: bool, center: Array, rules
         center: subtracted from the layer's input already, shape (S of the layer,); empty: nothing was.
         rules: epsilon, momentum, warm-up batches.
     """
+    not_inlined()
     row, norm = net.table[layer], net.norm[c]
     start = row[STATISTIC]
     epsilon, momentum = float(rules[0]), float(rules[1])
@@ -77,6 +78,7 @@ def normalise(net: Net, c: int, layer: int, training: bool, center: Array, rules
 @compiled
 def fold(net: Net, c: int, layer: int) -> None:
     """Put `norm` of a layer into its weights, packed for both directions, and into its bias."""
+    not_inlined()
     row = net.table[layer]
     inputs, outputs, start = row[IN], row[OUT], row[STATISTIC]
     weight = net.values[c, row[WEIGHT] : row[WEIGHT] + inputs * outputs]
@@ -99,6 +101,7 @@ def fold(net: Net, c: int, layer: int) -> None:
 @compiled
 def _transpose(forward: Array, backward: Array, inputs: int, outputs: int, high: int) -> None:
     """Packed weights (inputs, outputs) in panels of outputs from (outputs, inputs) in panels of inputs."""
+    not_inlined()
     deep = -(-inputs // PANEL) * PANEL
     for left in range(0, inputs, PANEL):
         for top in range(0, outputs, PANEL):

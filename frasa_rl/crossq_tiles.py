@@ -7,58 +7,19 @@ line after the other, so nothing is packed as a BLAS must. One thread does all: 
 
 from typing import Any
 
-import llvmlite.binding as llvm
 import numpy.typing as npt
-from llvmlite import ir
 from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from frasa_rl.crossq_vectors import PANEL, Value, Vectors, not_inlined, registers
+
 Array = npt.NDArray[Any]  # of float32; of float64 in tests
 
-PANEL = 32
 ROWS = 8  # rows are padded to a multiple of it
 _UNROLLED = 4
 
 compiled = njit(nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"}, cache=True)
-
-
-def _registers() -> tuple[int, int]:
-    """Bytes of a vector register, and rows of a tile two registers wide that fits them all."""
-    features = llvm.get_host_cpu_features()
-    if features.get("avx512f", False):
-        return 64, 8
-    if features.get("avx2", False):
-        return 32, 4
-    return 16, 8 if features.get("neon", False) else 4
-
-
-class _Vectors:
-    """Loads, stores and products of vectors of 2 `lanes` of numbers, as instructions of the compiler."""
-
-    def __init__(self, builder: Any, number: Any, size: int) -> None:  # noqa: ANN401 (llvmlite has no types)
-        width, self.rows = _registers()
-        self.builder, self.size, self.lanes = builder, size, width // size
-        self.type = ir.VectorType(number, self.lanes)
-        name = f"llvm.fmuladd.v{self.lanes}f{8 * size}"
-        kind = ir.FunctionType(self.type, [self.type] * 3)
-        self.product = cgutils.get_or_insert_function(builder.module, kind, name)
-
-    def at(self, pointer: Any, offset: int) -> Any:  # noqa: ANN401
-        return self.builder.gep(pointer, [ir.IntType(64)(offset)])
-
-    def load(self, pointer: Any, offset: int) -> Any:  # noqa: ANN401
-        place = self.builder.bitcast(self.at(pointer, offset), self.type.as_pointer())
-        return self.builder.load(place, align=self.size)
-
-    def store(self, value: Any, pointer: Any, offset: int) -> None:  # noqa: ANN401
-        place = self.builder.bitcast(self.at(pointer, offset), self.type.as_pointer())
-        self.builder.store(value, place, align=self.size)
-
-    def repeated(self, pointer: Any, offset: int) -> Any:  # noqa: ANN401
-        nothing = ir.Constant(self.type, ir.Undefined)
-        one = self.builder.insert_element(nothing, self.builder.load(self.at(pointer, offset)), ir.IntType(32)(0))
-        return self.builder.shuffle_vector(one, nothing, ir.Constant(ir.VectorType(ir.IntType(32), self.lanes), None))
 
 
 def _emit(context: Any, builder: Any, signature: Any, args: Any, transposed: bool) -> Any:  # noqa: ANN401
@@ -68,17 +29,12 @@ def _emit(context: Any, builder: Any, signature: Any, args: Any, transposed: boo
         for i in (0, 2, 5)
     )
     a_jump, b_jump, panels, length = args[4], args[7], args[8], args[9]
-    number = context.get_value_type(signature.args[0].dtype)
-    vectors = _Vectors(builder, number, context.get_abi_sizeof(number))
-    rows, lanes, whole = vectors.rows, vectors.lanes, a_jump.type
-    zero = ir.Constant(vectors.type, None)
+    vectors = Vectors(context, builder, signature.args[0].dtype)
+    rows, lanes, whole = registers()[1], vectors.lanes, a_jump.type
     tall, wide = (1, PANEL) if transposed else (PANEL, 1)  # steps of a's element [i, k] in i and in k
     for top in range(0, ROWS, rows):
         for left in range(0, PANEL, 2 * lanes):
-            sums = [[cgutils.alloca_once(builder, vectors.type) for _ in range(2)] for _ in range(rows)]
-            for row in sums:
-                for one in row:
-                    builder.store(zero, one)
+            sums = [vectors.sums(2) for _ in range(rows)]
             with cgutils.for_range(builder, panels) as panel:
                 a_panel = builder.gep(a, [builder.mul(panel.index, a_jump)])
                 b_panel = builder.gep(b, [builder.mul(panel.index, b_jump)])
@@ -90,8 +46,8 @@ def _emit(context: Any, builder: Any, signature: Any, args: Any, transposed: boo
                         for i in range(rows):
                             factor = vectors.repeated(a_here, k * wide + (top + i) * tall)
                             for j in range(2):
-                                added = builder.call(vectors.product, [factor, right[j], builder.load(sums[i][j])])
-                                builder.store(added, sums[i][j])
+                                total = vectors.product_sum(factor, right[j], builder.load(sums[i][j]))
+                                builder.store(total, sums[i][j])
             for i in range(rows):
                 for j in range(2):
                     vectors.store(builder.load(sums[i][j]), c, (top + i) * PANEL + left + j * lanes)
@@ -105,12 +61,22 @@ def _tile(transposed: bool) -> Any:  # noqa: ANN401 (numba's functions have no t
     32 long. The sum runs over `panels` stretches of `length` (a multiple of 4), which lie a_jump and b_jump apart.
     """
 
-    @intrinsic
-    def tile(  # type: ignore[no-untyped-def]  # noqa: ANN202
-        _, c, c_at, a, a_at, a_jump, b, b_at, b_jump, panels, length
-    ):
-        whole = types.intp
-        signature = types.void(c, whole, a, whole, whole, b, whole, whole, whole, whole)
+    @intrinsic  # type: ignore[untyped-decorator]
+    def tile(  # noqa: ANN202
+        _: Any,
+        c: Any,
+        c_at: Any,
+        a: Any,
+        a_at: Any,
+        a_jump: Any,
+        b: Any,
+        b_at: Any,
+        b_jump: Any,
+        panels: Any,
+        length: Any,
+    ):  # type: ignore[no-untyped-def]
+        place = types.intp
+        signature = types.void(c, place, a, place, place, b, place, place, place, place)
         return signature, lambda *given: _emit(*given, transposed)
 
     return tile
@@ -123,6 +89,7 @@ _tile_transposed = _tile(transposed=True)
 @compiled
 def product(c: Array, c_at: int, a: Array, a_at: int, rows: int, b: Array, b_at: int, panels: int) -> None:
     """One panel of a product, shape (rows, 32): `a` of `panels` panels of `rows` times `b`, shape (32 panels, 32)."""
+    not_inlined()
     for i in range(0, rows * PANEL, ROWS * PANEL):
         _tile_plain(c, c_at + i, a, a_at + i, rows * PANEL, b, b_at, PANEL * PANEL, panels, PANEL)
 
@@ -130,6 +97,7 @@ def product(c: Array, c_at: int, a: Array, a_at: int, rows: int, b: Array, b_at:
 @compiled
 def product_of_rows(c: Array, a: Array, a_at: int, panels: int, b: Array, b_at: int, rows: int) -> None:
     """Sum over n of a[n, o] b[n, j], shape (32 panels, 32): `a` of `panels` panels of `rows`, one panel of `b`."""
+    not_inlined()
     for panel in range(panels):
         for i in range(0, PANEL, ROWS):
             _tile_transposed(c, (panel * PANEL + i) * PANEL, a, a_at + panel * rows * PANEL + i, 0, b, b_at, 0, 1, rows)
