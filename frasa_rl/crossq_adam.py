@@ -2,7 +2,8 @@
 
 import math
 
-from frasa_rl.crossq_tiles import Array, compiled, not_inlined
+from frasa_rl.crossq_tiles import Array, compiled
+from frasa_rl.crossq_vectors import not_inlined
 
 RATE, FIRST, SECOND, EPSILON = range(4)
 

@@ -10,7 +10,8 @@ from frasa_rl.crossq_adam import adam
 from frasa_rl.crossq_layers import backward, forward, refold
 from frasa_rl.crossq_net import BATCH_MEAN, BATCH_VAR, IN_PANELS, Net, aligned, padded
 from frasa_rl.crossq_passes import moved, statistics
-from frasa_rl.crossq_tiles import PANEL, ROWS, Array, compiled, not_inlined
+from frasa_rl.crossq_tiles import PANEL, ROWS, Array, compiled
+from frasa_rl.crossq_vectors import copy_columns, not_inlined
 
 CRITIC_LOSS, ACTOR_LOSS, ENTROPY, ENTROPY_LOSS = range(4)  # columns of what `updates` writes
 _LOG_STD_MIN, _LOG_STD_MAX = -20.0, 2.0
@@ -51,8 +52,8 @@ class Rules(NamedTuple):
     delay: int
     target_entropy: float
     tuned: bool
-    actor_norm: npt.NDArray[np.float64]
-    critic_norm: npt.NDArray[np.float64]
+    actor_norm: Array
+    critic_norm: Array
     actor_adam: npt.NDArray[np.float64]
     critic_adam: npt.NDArray[np.float64]
     entropy_adam: npt.NDArray[np.float64]
@@ -74,13 +75,11 @@ def room(batch: int, actions: int, widest: int, dtype: npt.DTypeLike) -> Room:
 def _put(net: Net, rows: int, row: int, column: int, source: Array) -> None:
     """Write a matrix into the input panels, from this row and column on."""
     not_inlined()
-    x, count = net.active[0], source.shape[1]
+    count = source.shape[1]
     for panel in range(column // PANEL, (column + count - 1) // PANEL + 1):
         first, last = max(column, panel * PANEL), min(column + count, (panel + 1) * PANEL)
         at = (panel * rows + row) * PANEL + first - panel * PANEL
-        for n in range(source.shape[0]):
-            for j in range(last - first):
-                x[at + n * PANEL + j] = source[n, first - column + j]
+        copy_columns(len(source), last - first, net.active[0], at, source.ravel(), first - column, count)
 
 
 @compiled

@@ -22,16 +22,18 @@ from frasa_rl.crossq_net import (
     Net,
 )
 from frasa_rl.crossq_norm import fold, normalise
-from frasa_rl.crossq_passes import bias_and_rectify, masked, masked_single, statistics, weighted_sum
-from frasa_rl.crossq_tiles import PANEL, Array, compiled, not_inlined, product, product_of_rows
+from frasa_rl.crossq_passes import Step, added, bias_and_rectify, masked, masked_single, product_of_one, weighted_sum
+from frasa_rl.crossq_tiles import PANEL, Array, compiled, product, product_of_rows
+from frasa_rl.crossq_vectors import Value, Vectors, not_inlined, over_rows
 
 
 @compiled
 def refold(net: Net, c: int, center: Array, rules: Array) -> None:
     """Weights for inference, good until the parameters or the running statistics change."""
     not_inlined()
+    still = net.still
     for layer in range(len(net.table)):
-        normalise(net, c, layer, False, center if layer == 0 else center[:0], rules)
+        normalise(net, c, layer, False, center if layer == 0 else still, rules)
         fold(net, c, layer)
 
 
@@ -43,16 +45,16 @@ def forward(net: Net, c: int, rows: int, real: int, training: bool, center: Arra
     what was subtracted from the input.
     """
     not_inlined()
-    count = len(net.table)
+    count, still = len(net.table), net.still
     for layer in range(count):
         if training:
-            normalise(net, c, layer, True, center if layer == 0 else center[:0], rules)
+            normalise(net, c, layer, True, center if layer == 0 else still, rules)
             fold(net, c, layer)
         row = net.table[layer]
         x, y = net.active[c if layer > 0 else 0, row[ACTIVE] :], net.result[c]
         weight, bias = net.forward[c, row[PACKED] :], net.folded[c, row[FOLDED] :]
         if row[OUT] == 1:
-            _product_of_one(y, x, rows, real, net.backward[c, row[PACKED] :], bias[0], row[IN_PANELS])
+            product_of_one(y, x, rows, real, net.backward[c, row[PACKED] :], bias[0], row[IN_PANELS])
             continue
         last = layer == count - 1
         if not last:
@@ -62,34 +64,11 @@ def forward(net: Net, c: int, rows: int, real: int, training: bool, center: Arra
             product(y, at, x, 0, rows, weight, right, row[IN_PANELS])
             here, offset = y[at : at + rows * PANEL], bias[panel * PANEL : (panel + 1) * PANEL]
             if last:
-                _add(here, offset)
+                added(real, here, offset)
             else:
                 start = net.table[layer + 1, STATISTIC] + panel * PANEL
                 means = net.norm[c, BATCH_MEAN, start : start + PANEL]
                 bias_and_rectify(here, real, offset, means, net.norm[c, BATCH_VAR, start : start + PANEL])
-
-
-@compiled
-def _product_of_one(y: Array, x: Array, rows: int, real: int, weight: Array, bias: float, panels: int) -> None:
-    """The output of a layer with a single one, shape (rows,)."""
-    not_inlined()
-    for n in range(real):
-        y[n] = bias
-    for panel in range(panels):
-        here, w = x[panel * rows * PANEL :], weight[panel * PANEL : (panel + 1) * PANEL]
-        for n in range(real):
-            total = y[n]
-            for j in range(PANEL):
-                total += here[n * PANEL + j] * w[j]
-            y[n] = total
-
-
-@compiled
-def _add(panel: Array, bias: Array) -> None:
-    not_inlined()
-    for n in range(0, panel.size, PANEL):
-        for j in range(PANEL):
-            panel[n + j] += bias[j]
 
 
 @compiled
@@ -155,42 +134,43 @@ def _parameter_slopes(
         else:
             product_of_rows(raw, dy, 0, row[OUT_PANELS], here, 0, rows)
         k = start + left
-        _unnormalised(
+        arrays = (
+            slopes[row[WEIGHT] + left :],
+            values[row[WEIGHT] + left :],
             raw,
             bias_slope,
-            outputs,
-            wide,
-            inputs,
-            net.norm[c, MIDDLE, k : k + wide],
-            net.norm[c, INVERSE, k : k + wide],
-            values[row[SCALE] + left : row[SCALE] + left + wide],
-            values[row[SHIFT] + left : row[SHIFT] + left + wide],
-            values[row[WEIGHT] + left :],
-            slopes[row[WEIGHT] + left :],
-            slopes[row[SCALE] + left : row[SCALE] + left + wide],
-            slopes[row[SHIFT] + left : row[SHIFT] + left + wide],
+            net.norm[c, MIDDLE, k:],
+            net.norm[c, INVERSE, k:],
+            values[row[SCALE] + left :],
+            values[row[SHIFT] + left :],
+            slopes[row[SCALE] + left :],
+            slopes[row[SHIFT] + left :],
         )
+        if wide == PANEL:
+            _unnormalise(outputs, inputs, arrays)
+        else:
+            _unnormalise_few(outputs, wide, inputs, arrays)
+
+
+def _unnormal(v: Vectors, x: list[Value], slope: list[Value], constants: list[Value]) -> Step:
+    """From a row of sums of dy x to that of a weight's gradient, and its part in those of scale and shift."""
+    _, weight, raw = x
+    middle, inverse, scale, shift = constants
+    b = v.builder
+    normal = b.fmul(b.fsub(raw, b.fmul(slope[0], middle)), inverse)
+    new = v.product_sum(scale, normal, b.fmul(shift, slope[0]))
+    return [new], [b.fmul(weight, normal), b.fmul(weight, slope[0])]
+
+
+_unnormalise = over_rows(3, 2, 1, 4, 2, _unnormal)
 
 
 @compiled
-def _unnormalised(
-    raw: Array,
-    bias_slope: Array,
-    outputs: int,
-    wide: int,
-    stride: int,
-    middle: Array,
-    inverse: Array,
-    scale: Array,
-    shift: Array,
-    weight: Array,
-    weight_slope: Array,
-    scale_slope: Array,
-    shift_slope: Array,
-) -> None:
-    """From sums of dy x (raw, shape (outputs, 32)) to gradients of weight, scale and shift."""
+def _unnormalise_few(outputs: int, wide: int, stride: int, arrays: tuple[Array, ...]) -> None:
+    """The same for a panel of fewer columns."""
     not_inlined()
-    scale_slope[:], shift_slope[:] = 0, 0
+    weight_slope, weight, raw, bias_slope, middle, inverse, scale, shift, scale_slope, shift_slope = arrays
+    scale_slope[:wide], shift_slope[:wide] = 0, 0
     for o in range(outputs):
         slope, at = bias_slope[o], o * stride
         for j in range(wide):

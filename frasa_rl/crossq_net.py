@@ -34,6 +34,7 @@ class Net(NamedTuple):
         folded: biases with the normalisation in them, shape (C, F).
         active: inputs of all layers, in panels, shape (C, A); the first layer's are those of C = 0.
         result: output of the last layer, in panels, shape (C, panels * rows * 32); its gradient later.
+        still: zeros, the centre of inputs from which nothing was subtracted, shape (S,).
     """
 
     table: Whole
@@ -50,6 +51,7 @@ class Net(NamedTuple):
     folded: Array
     active: Array
     result: Array
+    still: Array
 
 
 def padded(size: int, unit: int) -> int:
@@ -75,7 +77,7 @@ def table_of(widths: Sequence[int], rows: int) -> tuple[Whole, dict[str, int]]:
         places = []
         for count in (inputs, inputs, inputs * outputs, outputs):
             places.append(size["values"])
-            size["values"] += padded(count, 16)
+            size["values"] += padded(count, PANEL)
         row = [inputs, outputs, *places, size["statistics"], in_panels, out_panels]
         table.append([*row, size["packed"], size["folded"], size["active"]])
         size["statistics"] += in_panels * PANEL
@@ -100,4 +102,5 @@ def network(widths: Sequence[int], count: int, rows: int, dtype: npt.DTypeLike) 
         aligned((count, size["folded"]), dtype),
         aligned((count, size["active"]), dtype),
         aligned((count, last), dtype),
+        aligned((size["statistics"],), dtype),
     )

@@ -3,14 +3,15 @@ r"""Batch renormalisation (Ioffe 2017) as sb3-contrib has it, put into the weigh
 With the batch's mean m and unbiased variance v of an input x, and the running ones \mu, \nu:
 
 .. math::
-    r &= clip(\sqrt{(v + \epsilon) / (\nu + \epsilon)}, 1/3, 3), \quad d = clip((m - \mu) / \sqrt{\nu + \epsilon}, \pm 5) \\
+    r &= clip(\sqrt{(v + \epsilon) / (\nu + \epsilon)}, 1/3, 3), \quad
+    d = clip((m - \mu) / \sqrt{\nu + \epsilon}, \pm 5) \\
     \hat x &= (x - m + d \sqrt v / r) / \sqrt{v / r^2 + \epsilon}, \qquad y = W (\gamma \hat x + \beta) + b
 
-r = 1 and d = 0 while warming up; at inference \hat x is made of the running ones. So y is linear in x, and no normalised
-activations are ever written: a layer reads the last one's rectified output, with weights W \gamma / \sqrt{\cdot}.
+r = 1 and d = 0 while warming up; at inference \hat x is made of the running ones. So y is linear in x, and normalised
+activations are never written: a layer reads the last one's rectified output, with weights W \gamma / \sqrt{\cdot}.
 """
 
-import math
+from collections.abc import Callable
 
 from frasa_rl.crossq_net import (
     BATCH_MEAN,
@@ -19,6 +20,7 @@ from frasa_rl.crossq_net import (
     FOLDED,
     GAIN,
     IN,
+    IN_PANELS,
     INVERSE,
     MIDDLE,
     OFFSET,
@@ -33,9 +35,60 @@ from frasa_rl.crossq_net import (
     WEIGHT,
     Net,
 )
-from frasa_rl.crossq_tiles import PANEL, Array, compiled, not_inlined
+from frasa_rl.crossq_tiles import PANEL, Array, compiled
+from frasa_rl.crossq_vectors import Value, Vectors, not_inlined, over_rows, transpose
 
 _MOST_RATIO, _MOST_SHIFT = 3.0, 5.0  # rmax and dmax of sb3-contrib
+Middle = Callable[[Vectors, list[Value], Value], tuple[Value, Value, Value, Value]]
+
+
+def _running(_: Vectors, given: list[Value], __: Value) -> tuple[Value, Value, Value, Value]:
+    """Mean and variance to normalise with, and how they follow the batch's variance: not at all."""
+    return given[0], given[1], given[0], given[0]
+
+
+def _batch(v: Vectors, given: list[Value], _: Value) -> tuple[Value, Value, Value, Value]:
+    return given[2], given[3], v.zero, v.constant(1.0)
+
+
+def _renormalised(v: Vectors, given: list[Value], epsilon: Value) -> tuple[Value, Value, Value, Value]:
+    mean, var, batch_mean, batch_var = given
+    b, one = v.builder, v.constant(1.0)
+    running, root = v.root(b.fadd(var, epsilon)), v.root(batch_var)
+    ratio = b.fdiv(v.root(b.fadd(batch_var, epsilon)), running)
+    ratio = v.within(ratio, 1.0 / _MOST_RATIO, _MOST_RATIO)
+    apart = v.within(b.fdiv(b.fsub(batch_mean, mean), running), -_MOST_SHIFT, _MOST_SHIFT)
+    share = b.fdiv(one, b.fmul(ratio, ratio))
+    middle = b.fsub(batch_mean, b.fdiv(b.fmul(apart, root), ratio))
+    # d/dv of d sqrt(v) / r; a column that never changes (v = 0: a dead unit) pulls nothing, its gradient is masked
+    pull = v.where_positive(root, b.fdiv(apart, b.fmul(v.constant(2.0), b.fmul(ratio, root))))
+    return middle, b.fmul(batch_var, share), pull, share
+
+
+def _normalisation(middle: Middle, training: bool) -> Callable[..., None]:
+    """The pass over features: panels are mean, var, gain, offset, middle, inverse, pull, share and what they need."""
+
+    def row(v: Vectors, x: list[Value], _: list[Value], constants: list[Value]) -> tuple[list[Value | None], list[Value]]:
+        mean, var, *_unread, batch_mean, batch_var, scale, shift, center = x
+        epsilon, momentum = constants
+        b = v.builder
+        center_of, spread, pull, share = middle(v, [mean, var, batch_mean, batch_var], epsilon)
+        inverse = b.fdiv(v.constant(1.0), v.root(b.fadd(spread, epsilon)))
+        left, gain = b.fsub(center_of, center), b.fmul(scale, inverse)
+        result = [gain, b.fsub(shift, b.fmul(gain, left)), left, inverse]
+        if not training:
+            return [None, None, *result], []
+        mean = v.product_sum(momentum, b.fsub(batch_mean, mean), mean)
+        var = v.product_sum(momentum, b.fsub(batch_var, var), var)
+        return [mean, var, *result, pull, share], []
+
+    loop: Callable[..., None] = over_rows(13, 0, 0, 2, 0, row)
+    return loop
+
+
+_inference = _normalisation(_running, training=False)
+_warming = _normalisation(_batch, training=True)
+_warm = _normalisation(_renormalised, training=True)
 
 
 @compiled
@@ -43,36 +96,44 @@ def normalise(net: Net, c: int, layer: int, training: bool, center: Array, rules
     """Fill `norm` of a layer from the batch's statistics (training; running ones are updated) or the running ones.
 
     Args:
-        center: subtracted from the layer's input already, shape (S of the layer,); empty: nothing was.
-        rules: epsilon, momentum, warm-up batches.
+        net: networks.
+        c: which of them.
+        layer: of it.
+        training: by the batch's statistics, which lie in `norm`.
+        center: subtracted from the layer's input already, in panels.
+        rules: epsilon and momentum in a row of 32 each, then warm-up batches.
     """
     not_inlined()
-    row, norm = net.table[layer], net.norm[c]
+    row, norm, values = net.table[layer], net.norm[c], net.values[c]
     start = row[STATISTIC]
-    epsilon, momentum = float(rules[0]), float(rules[1])
-    warm = net.steps[c, layer] > rules[2]
-    for j in range(row[IN]):
-        k = start + j
-        mean, var = float(net.mean[c, k]), float(net.var[c, k])
-        middle, spread, pull, share = mean, var, 0.0, 1.0
-        if training:
-            batch_mean, batch_var = float(norm[BATCH_MEAN, k]), float(norm[BATCH_VAR, k])
-            middle, spread = batch_mean, batch_var
-            if warm:
-                running, root = math.sqrt(var + epsilon), math.sqrt(batch_var)
-                ratio = min(max(math.sqrt(batch_var + epsilon) / running, 1.0 / _MOST_RATIO), _MOST_RATIO)
-                moved = min(max((batch_mean - mean) / running, -_MOST_SHIFT), _MOST_SHIFT)
-                middle, spread = batch_mean - moved * root / ratio, batch_var / (ratio * ratio)
-                pull, share = moved / (2.0 * ratio * root) if root > 0.0 else 0.0, 1.0 / (ratio * ratio)
-            net.mean[c, k] = mean + momentum * (batch_mean - mean)
-            net.var[c, k] = var + momentum * (batch_var - var)
-        inverse = 1.0 / math.sqrt(spread + epsilon)
-        middle -= float(center[j]) if center.size > 0 else 0.0
-        gain = float(net.values[c, row[SCALE] + j]) * inverse
-        norm[GAIN, k], norm[OFFSET, k] = gain, float(net.values[c, row[SHIFT] + j]) - gain * middle
-        norm[MIDDLE, k], norm[INVERSE, k], norm[PULL, k], norm[SHARE, k] = middle, inverse, pull, share
-    if training:
+    arrays = (
+        net.mean[c, start:],
+        net.var[c, start:],
+        norm[GAIN, start:],
+        norm[OFFSET, start:],
+        norm[MIDDLE, start:],
+        norm[INVERSE, start:],
+        norm[PULL, start:],
+        norm[SHARE, start:],
+        norm[BATCH_MEAN, start:],
+        norm[BATCH_VAR, start:],
+        values[row[SCALE] :],
+        values[row[SHIFT] :],
+        center,
+        rules[:PANEL],
+        rules[PANEL : 2 * PANEL],
+    )
+    if not training:
+        _inference(row[IN_PANELS], PANEL, arrays)
+    else:
+        if net.steps[c, layer] > rules[2 * PANEL]:
+            _warm(row[IN_PANELS], PANEL, arrays)
+        else:
+            _warming(row[IN_PANELS], PANEL, arrays)
         net.steps[c, layer] += 1
+
+
+_scaled = over_rows(2, 1, 0, 1, 0, lambda v, x, _, c: ([None, v.builder.fmul(x[0], c[0])], []))
 
 
 @compiled
@@ -82,7 +143,7 @@ def fold(net: Net, c: int, layer: int) -> None:
     row = net.table[layer]
     inputs, outputs, start = row[IN], row[OUT], row[STATISTIC]
     weight = net.values[c, row[WEIGHT] : row[WEIGHT] + inputs * outputs]
-    gain, offset = net.norm[c, GAIN, start : start + inputs], net.norm[c, OFFSET, start : start + inputs]
+    gain, offset = net.norm[c, GAIN, start:], net.norm[c, OFFSET, start : start + inputs]
     forward, backward = net.forward[c, row[PACKED] :], net.backward[c, row[PACKED] :]
     high = 1 if outputs == 1 else row[OUT_PANELS] * PANEL
     for o in range(outputs):
@@ -90,22 +151,14 @@ def fold(net: Net, c: int, layer: int) -> None:
         for i in range(inputs):
             total += weight[o * inputs + i] * offset[i]
         net.folded[c, row[FOLDED] + o] = total
-        for left in range(0, inputs, PANEL):
-            at = (left * high) + o * PANEL
-            for j in range(min(PANEL, inputs - left)):
-                backward[at + j] = weight[o * inputs + left + j] * gain[left + j]
-    if outputs > 1:
-        _transpose(forward, backward, inputs, outputs, high)
-
-
-@compiled
-def _transpose(forward: Array, backward: Array, inputs: int, outputs: int, high: int) -> None:
-    """Packed weights (inputs, outputs) in panels of outputs from (outputs, inputs) in panels of inputs."""
-    not_inlined()
-    deep = -(-inputs // PANEL) * PANEL
     for left in range(0, inputs, PANEL):
-        for top in range(0, outputs, PANEL):
-            for i in range(min(PANEL, inputs - left)):
-                to, at = (top * deep) + (left + i) * PANEL, left * high + top * PANEL + i
-                for o in range(PANEL):
-                    forward[to + o] = backward[at + o * PANEL]
+        wide, scale = min(PANEL, inputs - left), gain[left : left + PANEL]
+        if wide == PANEL:
+            _scaled(outputs, inputs, (weight[left:], backward[left * high :], scale))
+        else:
+            for o in range(outputs):
+                for j in range(wide):
+                    backward[left * high + o * PANEL + j] = weight[o * inputs + left + j] * scale[j]
+        if outputs > 1:
+            for top in range(0, outputs, PANEL):
+                transpose(forward, (top * row[IN_PANELS] + left) * PANEL, backward, left * high + top * PANEL)

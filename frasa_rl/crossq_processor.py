@@ -9,7 +9,7 @@ from sb3_contrib.crossq.policies import Actor, CrossQCritic
 
 from frasa_rl.crossq_bind import Bound, layers_of
 from frasa_rl.crossq_cpu import Rules, room, updates
-from frasa_rl.crossq_tiles import Array
+from frasa_rl.crossq_tiles import PANEL, Array
 
 Losses = npt.NDArray[np.float64]
 
@@ -90,6 +90,8 @@ def _adam_rules(optimizer: torch.optim.Optimizer) -> npt.NDArray[np.float64]:
     return np.array([float(group["lr"]), *(float(one) for one in group["betas"]), float(group["eps"])])
 
 
-def _norm_rules(bound: Bound) -> npt.NDArray[np.float64]:
+def _norm_rules(bound: Bound) -> Array:
+    """What `normalise` takes."""
     norm = bound.stacked[0][0][0]
-    return np.array([norm.eps, norm.momentum, float(norm.warmup_steps)])
+    rules = np.repeat([norm.eps, norm.momentum, float(norm.warmup_steps)], PANEL)
+    return rules.astype(bound.net.values.dtype)

@@ -68,6 +68,22 @@ class Vectors:
         """A vector to memory."""
         self.builder.store(value, self._place(pointer, offset), align=self.size)
 
+    def _masked(self, name: str, kind: Any, mask: Value) -> Any:  # noqa: ANN401
+        full = f"llvm.masked.{name}.v{self.lanes}f{8 * self.size}.p0"
+        return cgutils.get_or_insert_function(self.builder.module, kind, full)  # type: ignore[no-untyped-call]
+
+    def load_some(self, pointer: Value, offset: int, mask: Value) -> Value:
+        """Lanes from memory where the mask is set; nothing else is read."""
+        place = self._place(pointer, offset)
+        kind = ir.FunctionType(self.type, [place.type, ir.IntType(32), mask.type, self.type])
+        return self.builder.call(self._masked("load", kind, mask), [place, ir.IntType(32)(self.size), mask, self.zero])
+
+    def store_some(self, value: Value, pointer: Value, offset: int, mask: Value) -> None:
+        """Lanes to memory where the mask is set."""
+        place = self._place(pointer, offset)
+        kind = ir.FunctionType(ir.VoidType(), [self.type, place.type, ir.IntType(32), mask.type])
+        self.builder.call(self._masked("store", kind, mask), [value, place, ir.IntType(32)(self.size), mask])
+
     def repeated(self, pointer: Value, offset: int) -> Value:
         """One number from memory in all lanes."""
         nothing = ir.Constant(self.type, ir.Undefined)
@@ -82,6 +98,20 @@ class Vectors:
     def product_sum(self, a: Value, b: Value, c: Value) -> Value:
         """Emit a b + c."""
         return self.builder.call(self._named("fmuladd", 3), [a, b, c])
+
+    def root(self, a: Value) -> Value:
+        """Emit the square root."""
+        return self.builder.call(self._named("sqrt", 1), [a])
+
+    def within(self, a: Value, low: float, high: float) -> Value:
+        """Emit a, limited; not a number stays so."""
+        bottom, top = self.constant(low), self.constant(high)
+        a = self.builder.select(self.builder.fcmp_ordered("<", a, bottom), bottom, a)
+        return self.builder.select(self.builder.fcmp_ordered(">", a, top), top, a)
+
+    def constant(self, value: float) -> Value:
+        """The same number in all lanes."""
+        return ir.Constant(self.type, [value] * self.lanes)
 
     def rectified(self, a: Value) -> Value:
         """Emit max(a, 0); not a number stays so."""
@@ -103,25 +133,26 @@ class Vectors:
         self.builder.store(self.builder.fadd(self.builder.load(place), value), place)
 
 
-Row = Callable[[Vectors, list[Value], list[Value], list[Value]], tuple[Value | None, list[Value]]]
+Row = Callable[[Vectors, list[Value], list[Value], list[Value]], tuple[list[Value | None], list[Value]]]
 
 
-def over_rows(panels: int, factors: int, constants: int, totals: int, row: Row) -> Any:  # noqa: ANN401
+def over_rows(panels: int, far: int, factors: int, constants: int, totals: int, row: Row) -> Any:  # noqa: ANN401, PLR0913
     """An intrinsic that goes through rows of 32 numbers.
 
-    It is called as loop(count, (panels ..., factors ..., constants ..., totals ...)), all one-dimensional arrays: panels
-    of `count` rows, one factor for each row, 32 constants, 32 totals that are set to sums over rows.
+    It is called as loop(count, stride, (panels ..., factors ..., constants ..., totals ...)), all one-dimensional
+    arrays: panels of `count` rows, one factor for each row, 32 constants, 32 totals that are set to sums over rows.
 
     Args:
         panels, factors, constants, totals: how many of each.
-        row: emits what happens to a vector of a row, from those of the panels, factors and constants: the first
-            panel's new value (none: it stays), and what is added to each total.
+        far: how many panels, the first ones, have rows that start `stride` apart and not 32.
+        row: emits what happens to a vector of a row, from those of the panels, factors and constants: new values of
+            the first panels (none: it stays), and what is added to each total.
     """
 
     def emit(context: Any, builder: Any, signature: Any, args: Any) -> Value:  # noqa: ANN401
-        kinds = list(signature.args[1])
+        kinds = list(signature.args[2])
         vectors = Vectors(context, builder, kinds[0].dtype)
-        arrays = cgutils.unpack_tuple(builder, args[1], len(kinds))  # type: ignore[no-untyped-call]
+        arrays = cgutils.unpack_tuple(builder, args[2], len(kinds))  # type: ignore[no-untyped-call]
         given = [context.make_array(kind)(context, builder, one).data for kind, one in zip(kinds, arrays, strict=True)]
         sheets, singles = given[:panels], given[panels : panels + factors]
         fixed, results = given[panels + factors : panels + factors + constants], given[panels + factors + constants :]
@@ -129,13 +160,14 @@ def over_rows(panels: int, factors: int, constants: int, totals: int, row: Row) 
         kept = {left: [vectors.load(one, left) for one in fixed] for left in chunks}
         sums = {left: vectors.sums(totals) for left in chunks}
         with cgutils.for_range(builder, args[0]) as loop:  # type: ignore[no-untyped-call]
-            start = builder.mul(loop.index, args[0].type(PANEL))
-            here = [builder.gep(one, [start]) for one in sheets]
+            starts = [builder.mul(loop.index, width) for width in (args[1], args[1].type(PANEL))]
+            here = [builder.gep(one, [starts[0 if i < far else 1]]) for i, one in enumerate(sheets)]
             scaled = [vectors.repeated(builder.gep(one, [loop.index]), 0) for one in singles]
             for left in chunks:
                 new, added = row(vectors, [vectors.load(one, left) for one in here], scaled, kept[left])
-                if new is not None:
-                    vectors.store(new, here[0], left)
+                for value, place in zip(new, here, strict=False):
+                    if value is not None:
+                        vectors.store(value, place, left)
                 for place, value in zip(sums[left], added, strict=True):
                     vectors.add(place, value)
         for left in chunks:
@@ -144,7 +176,112 @@ def over_rows(panels: int, factors: int, constants: int, totals: int, row: Row) 
         return context.get_dummy_value()
 
     @intrinsic  # type: ignore[untyped-decorator]
-    def loop(_: Any, count: Any, arrays: Any) -> Any:  # noqa: ANN401
-        return types.void(types.intp, arrays), emit
+    def loop(_: Any, count: Any, stride: Any, arrays: Any) -> Any:  # noqa: ANN401
+        return types.void(types.intp, types.intp, arrays), emit
 
     return loop
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def transpose(_: Any, to: Any, to_at: Any, source: Any, at: Any) -> Any:  # noqa: ANN401
+    """transpose(to, to_at, source, at): 32 x 32 numbers, rows of 32 in both, through registers."""
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Value:  # noqa: ANN401
+        vectors = Vectors(context, builder, signature.args[0].dtype)
+        lanes = vectors.lanes
+        to, source = (
+            builder.gep(context.make_array(signature.args[i])(context, builder, args[i]).data, [args[i + 1]])
+            for i in (0, 2)
+        )
+        for top in range(0, PANEL, lanes):
+            for left in range(0, PANEL, lanes):
+                rows = [vectors.load(source, (top + i) * PANEL + left) for i in range(lanes)]
+                for i, row in enumerate(_turned(vectors, rows)):
+                    vectors.store(row, to, (left + i) * PANEL + top)
+        return context.get_dummy_value()
+
+    return types.void(to, types.intp, source, types.intp), emit
+
+
+def _turned(vectors: Vectors, rows: list[Value]) -> list[Value]:
+    """Rows of a square as columns: swap its off-diagonal quarters, then theirs within each quarter, and so on."""
+    lanes, half = vectors.lanes, vectors.lanes // 2
+    while half:
+        new = list(rows)
+        for i in range(lanes):
+            if i & half:
+                continue
+            a, b = rows[i], rows[i | half]
+            new[i] = vectors.shuffled(a, b, [lanes + (k ^ half) if k & half else k for k in range(lanes)])
+            new[i | half] = vectors.shuffled(a, b, [lanes + k if k & half else k ^ half for k in range(lanes)])
+        rows, half = new, half // 2
+    return rows
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def dot_rows(_: Any, count: Any, panels: Any, jump: Any, arrays: Any) -> Any:  # noqa: ANN401
+    """dot_rows(count, panels, jump, (to, x, weight)): to[n] += x[n, :] weight, panels of x `jump` numbers apart."""
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Value:  # noqa: ANN401
+        kinds = list(signature.args[3])
+        vectors = Vectors(context, builder, kinds[0].dtype)
+        arrays = cgutils.unpack_tuple(builder, args[3], 3)  # type: ignore[no-untyped-call]
+        to, x, w = (context.make_array(k)(context, builder, one).data for k, one in zip(kinds, arrays, strict=True))
+        places = vectors.sums(PANEL // vectors.lanes)
+        with cgutils.for_range(builder, args[0]) as row:  # type: ignore[no-untyped-call]
+            for place in places:
+                builder.store(vectors.zero, place)
+            start = builder.mul(row.index, args[0].type(PANEL))
+            with cgutils.for_range(builder, args[1]) as panel:  # type: ignore[no-untyped-call]
+                here = builder.gep(x, [builder.add(start, builder.mul(panel.index, args[2]))])
+                factor = builder.gep(w, [builder.mul(panel.index, args[0].type(PANEL))])
+                for i, place in enumerate(places):
+                    left = i * vectors.lanes
+                    total = vectors.product_sum(
+                        vectors.load(here, left), vectors.load(factor, left), builder.load(place)
+                    )
+                    builder.store(total, place)
+            total = builder.load(places[0])
+            for place in places[1:]:
+                total = builder.fadd(total, builder.load(place))
+            half = vectors.lanes // 2
+            while half:
+                order = [k ^ half for k in range(vectors.lanes)]
+                total, half = builder.fadd(total, vectors.shuffled(total, total, order)), half // 2
+            result = builder.gep(to, [row.index])
+            one = builder.extract_element(total, ir.IntType(32)(0))
+            builder.store(builder.fadd(builder.load(result), one), result)
+        return context.get_dummy_value()
+
+    whole = types.intp
+    return types.void(whole, whole, whole, arrays), emit
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def copy_columns(_: Any, rows: Any, columns: Any, to: Any, to_at: Any, source: Any, at: Any, stride: Any) -> Any:  # noqa: ANN401, PLR0913
+    """copy_columns(rows, columns, to, to_at, source, at, stride): the first of 32 columns, rows of `to` are 32 long."""
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Value:  # noqa: ANN401
+        vectors = Vectors(context, builder, signature.args[2].dtype)
+        to, source = (
+            builder.gep(context.make_array(signature.args[i])(context, builder, args[i]).data, [args[i + 1]])
+            for i in (2, 4)
+        )
+        whole = args[1].type
+        numbers = ir.VectorType(whole, vectors.lanes)
+        nothing = ir.Constant(numbers, ir.Undefined)
+        first = builder.insert_element(nothing, args[1], ir.IntType(32)(0))
+        many = builder.shuffle_vector(first, nothing, ir.Constant(ir.VectorType(ir.IntType(32), vectors.lanes), None))
+        masks = {
+            left: builder.icmp_signed("<", ir.Constant(numbers, list(range(left, left + vectors.lanes))), many)
+            for left in range(0, PANEL, vectors.lanes)
+        }
+        with cgutils.for_range(builder, args[0]) as row:  # type: ignore[no-untyped-call]
+            here = builder.gep(source, [builder.mul(row.index, args[6])])
+            there = builder.gep(to, [builder.mul(row.index, whole(PANEL))])
+            for left, mask in masks.items():
+                vectors.store_some(vectors.load_some(here, left, mask), there, left, mask)
+        return context.get_dummy_value()
+
+    whole = types.intp
+    return types.void(whole, whole, to, whole, source, whole, whole), emit
