@@ -7,11 +7,13 @@ import numpy as np
 import numpy.typing as npt
 
 from frasa_rl.crossq_adam import adam
-from frasa_rl.crossq_layers import backward, forward, refold
+from frasa_rl.crossq_back import ROOMS, backward
+from frasa_rl.crossq_layers import forward, refold
 from frasa_rl.crossq_net import BATCH_MEAN, BATCH_VAR, IN_PANELS, Net, aligned, padded
-from frasa_rl.crossq_passes import moved, statistics
+from frasa_rl.crossq_passes import clear, moved, statistics
+from frasa_rl.crossq_rows import copy_columns
 from frasa_rl.crossq_tiles import PANEL, ROWS, Array, compiled
-from frasa_rl.crossq_vectors import copy_columns, not_inlined
+from frasa_rl.crossq_vectors import line, not_inlined
 
 CRITIC_LOSS, ACTOR_LOSS, ENTROPY, ENTROPY_LOSS = range(4)  # columns of what `updates` writes
 _LOG_STD_MIN, _LOG_STD_MAX = -20.0, 2.0
@@ -27,7 +29,7 @@ class Room(NamedTuple):
         log_probability: theirs, shape (B,).
         slack: 1 - action^2, then what the sample adds to the mean, shape (2, B, n).
         target: of the critics, shape (B,).
-        scratch: of `backward`, shape (3, ...).
+        scratch: of `backward`, shape (ROOMS, ...).
         still: an array of zeros, the centre where nothing is subtracted.
     """
 
@@ -67,7 +69,7 @@ def room(batch: int, actions: int, widest: int, dtype: npt.DTypeLike) -> Room:
         aligned((batch,), dtype),
         aligned((2, batch, actions), dtype),
         aligned((batch,), dtype),
-        aligned((3, PANEL * max(rows, most) + 3 * PANEL), dtype),
+        aligned((ROOMS, PANEL * max(rows, most)), dtype),
     )
 
 
@@ -79,7 +81,7 @@ def _put(net: Net, rows: int, row: int, column: int, source: Array) -> None:
     for panel in range(column // PANEL, (column + count - 1) // PANEL + 1):
         first, last = max(column, panel * PANEL), min(column + count, (panel + 1) * PANEL)
         at = (panel * rows + row) * PANEL + first - panel * PANEL
-        copy_columns(len(source), last - first, net.active[0], at, source.ravel(), first - column, count)
+        copy_columns(len(source), last - first, line(net.active, 0, at), 0, line(source, 0, first - column), 0, count)
 
 
 @compiled
@@ -87,21 +89,20 @@ def _center(net: Net, rows: int, real: int, center: Array) -> None:
     """Subtract it from the input."""
     not_inlined()
     for panel in range(net.table[0, IN_PANELS]):
-        x, here = net.active[0, panel * rows * PANEL :], center[panel * PANEL : (panel + 1) * PANEL]
-        moved(real, x, here)
+        moved(real, line(net.active, 0, panel * rows * PANEL), center[panel * PANEL :])
 
 
 @compiled
 def _measure(net: Net, rows: int, real: int) -> None:
     """Statistics of the input, for all networks."""
     not_inlined()
-    for panel in range(net.table[0, IN_PANELS]):
-        k = panel * PANEL
-        x = net.active[0, k * rows : (k + PANEL) * rows]
-        statistics(x, real, net.norm[0, BATCH_MEAN, k : k + PANEL], net.norm[0, BATCH_VAR, k : k + PANEL])
-        for c in range(1, len(net.values)):
-            net.norm[c, BATCH_MEAN, k : k + PANEL] = net.norm[0, BATCH_MEAN, k : k + PANEL]
-            net.norm[c, BATCH_VAR, k : k + PANEL] = net.norm[0, BATCH_VAR, k : k + PANEL]
+    count, norm = net.table[0, IN_PANELS] * PANEL, net.norm
+    for k in range(0, count, PANEL):
+        x = line(net.active, 0, k * rows)
+        statistics(x, real, line(norm[0], BATCH_MEAN, k), line(norm[0], BATCH_VAR, k))
+    for c in range(1, len(norm)):
+        for k in range(count):
+            norm[c, BATCH_MEAN, k], norm[c, BATCH_VAR, k] = norm[0, BATCH_MEAN, k], norm[0, BATCH_VAR, k]
 
 
 @compiled
@@ -143,7 +144,7 @@ def _critic_losses(
             error = q[c, n] - room.target[n]
             loss += 0.5 * error * error / batch
             q[c, n] = error / batch
-        q[c, batch : 2 * batch] = 0
+        clear(line(q, c, 0), batch, 2 * batch)
     return loss
 
 
@@ -152,7 +153,7 @@ def _learn_critic(actor: Net, critic: Net, k: int, data: Any, alpha: float, rule
     observations, actions, following, rewards, dones, discounts, next_noise, _ = data
     batch, seen = observations.shape[1], observations.shape[2]
     rows = padded_rows(batch)
-    center = actor.mean[0, : actor.table[0, IN_PANELS] * PANEL]
+    center = line(actor.mean, 0, 0)
     _put(actor, rows, 0, 0, following[k])
     _center(actor, rows, batch, center)
     forward(actor, 0, rows, batch, False, center, rules.actor_norm)
@@ -163,7 +164,7 @@ def _learn_critic(actor: Net, critic: Net, k: int, data: Any, alpha: float, rule
     _put(critic, rows, batch, 0, following[k])
     _put(critic, rows, batch, seen, room.actions)
     _measure(critic, rows, both)
-    center = critic.norm[0, BATCH_MEAN, : critic.table[0, IN_PANELS] * PANEL]
+    center = line(critic.norm[0], BATCH_MEAN, 0)
     _center(critic, rows, both, center)
     for c in range(len(critic.values)):
         forward(critic, c, rows, both, True, center, rules.critic_norm)
@@ -185,7 +186,7 @@ def _judge(critic: Net, observations: Array, rules: Rules, room: Room) -> float:
     not_inlined()
     batch, seen = observations.shape
     rows, total = padded_rows(batch), 0.0
-    center = critic.mean[0, : critic.table[0, IN_PANELS] * PANEL]
+    center = line(critic.mean, 0, 0)
     _put(critic, rows, 0, 0, observations)
     _put(critic, rows, 0, seen, room.actions)
     _center(critic, rows, batch, center)
@@ -212,7 +213,7 @@ def _actor_slopes(actor: Net, critic: Net, seen: int, alpha: float, room: Room) 
     batch, count = room.actions.shape
     rows = padded_rows(batch)
     y, x = actor.result[0], critic.active[0]
-    y[:] = 0
+    clear(y, 0, y.size)
     for n in range(batch):
         for j in range(count):
             action, i, k = float(room.actions[n, j]), seen + j, count + j
@@ -234,7 +235,7 @@ def _learn_actor(
     rows = padded_rows(batch)
     _put(actor, rows, 0, 0, observations[k])
     _measure(actor, rows, batch)
-    center = actor.norm[0, BATCH_MEAN, : actor.table[0, IN_PANELS] * PANEL]
+    center = line(actor.norm[0], BATCH_MEAN, 0)
     _center(actor, rows, batch, center)
     forward(actor, 0, rows, batch, True, center, rules.actor_norm)
     _squash(actor, rows, noise[k], room)
@@ -266,7 +267,7 @@ def updates(
         losses: written, shape (K, 4).
     """
     not_inlined()
-    refold(actor, 0, actor.mean[0, : actor.table[0, IN_PANELS] * PANEL], rules.actor_norm)
+    refold(actor, 0, line(actor.mean, 0, 0), rules.actor_norm)
     for k in range(len(losses)):
         alpha = math.exp(entropy[0][0])
         losses[k, ENTROPY] = alpha
@@ -299,4 +300,4 @@ def updates(
             steps[0],
             rules.actor_adam,
         )
-        refold(actor, 0, actor.mean[0, : actor.table[0, IN_PANELS] * PANEL], rules.actor_norm)
+        refold(actor, 0, line(actor.mean, 0, 0), rules.actor_norm)

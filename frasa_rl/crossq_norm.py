@@ -34,10 +34,13 @@ from frasa_rl.crossq_net import (
     STATISTIC,
     WEIGHT,
     Net,
+    Whole,
 )
+from frasa_rl.crossq_rows import Step, over_rows, transpose
 from frasa_rl.crossq_tiles import PANEL, Array, compiled
-from frasa_rl.crossq_vectors import Value, Vectors, not_inlined, over_rows, transpose
+from frasa_rl.crossq_vectors import Value, Vectors, line, not_inlined
 
+EPSILON, MOMENTUM, WARMUP = range(3)  # rows of the rules
 _MOST_RATIO, _MOST_SHIFT = 3.0, 5.0  # rmax and dmax of sb3-contrib
 Middle = Callable[[Vectors, list[Value], Value], tuple[Value, Value, Value, Value]]
 
@@ -68,7 +71,7 @@ def _renormalised(v: Vectors, given: list[Value], epsilon: Value) -> tuple[Value
 def _normalisation(middle: Middle, training: bool) -> Callable[..., None]:
     """The pass over features: panels are mean, var, gain, offset, middle, inverse, pull, share and what they need."""
 
-    def row(v: Vectors, x: list[Value], _: list[Value], constants: list[Value]) -> tuple[list[Value | None], list[Value]]:
+    def row(v: Vectors, x: list[Value], _: list[Value], constants: list[Value]) -> Step:
         mean, var, *_unread, batch_mean, batch_var, scale, shift, center = x
         epsilon, momentum = constants
         b = v.builder
@@ -101,35 +104,36 @@ def normalise(net: Net, c: int, layer: int, training: bool, center: Array, rules
         layer: of it.
         training: by the batch's statistics, which lie in `norm`.
         center: subtracted from the layer's input already, in panels.
-        rules: epsilon and momentum in a row of 32 each, then warm-up batches.
+        rules: epsilon, momentum and warm-up batches, each in a row of 32.
     """
     not_inlined()
-    row, norm, values = net.table[layer], net.norm[c], net.values[c]
+    row, norm = net.table[layer], net.norm[c]
     start = row[STATISTIC]
     arrays = (
-        net.mean[c, start:],
-        net.var[c, start:],
-        norm[GAIN, start:],
-        norm[OFFSET, start:],
-        norm[MIDDLE, start:],
-        norm[INVERSE, start:],
-        norm[PULL, start:],
-        norm[SHARE, start:],
-        norm[BATCH_MEAN, start:],
-        norm[BATCH_VAR, start:],
-        values[row[SCALE] :],
-        values[row[SHIFT] :],
+        line(net.mean, c, start),
+        line(net.var, c, start),
+        line(norm, GAIN, start),
+        line(norm, OFFSET, start),
+        line(norm, MIDDLE, start),
+        line(norm, INVERSE, start),
+        line(norm, PULL, start),
+        line(norm, SHARE, start),
+        line(norm, BATCH_MEAN, start),
+        line(norm, BATCH_VAR, start),
+        line(net.values, c, row[SCALE]),
+        line(net.values, c, row[SHIFT]),
         center,
-        rules[:PANEL],
-        rules[PANEL : 2 * PANEL],
+        rules[EPSILON],
+        rules[MOMENTUM],
     )
+    panels = row[IN_PANELS]
     if not training:
-        _inference(row[IN_PANELS], PANEL, arrays)
+        _inference(panels, PANEL, PANEL, arrays)
     else:
-        if net.steps[c, layer] > rules[2 * PANEL]:
-            _warm(row[IN_PANELS], PANEL, arrays)
+        if net.steps[c, layer] > rules[WARMUP, 0]:
+            _warm(panels, PANEL, PANEL, arrays)
         else:
-            _warming(row[IN_PANELS], PANEL, arrays)
+            _warming(panels, PANEL, PANEL, arrays)
         net.steps[c, layer] += 1
 
 
@@ -142,23 +146,28 @@ def fold(net: Net, c: int, layer: int) -> None:
     not_inlined()
     row = net.table[layer]
     inputs, outputs, start = row[IN], row[OUT], row[STATISTIC]
-    weight = net.values[c, row[WEIGHT] : row[WEIGHT] + inputs * outputs]
-    gain, offset = net.norm[c, GAIN, start:], net.norm[c, OFFSET, start : start + inputs]
-    forward, backward = net.forward[c, row[PACKED] :], net.backward[c, row[PACKED] :]
+    forward, backward = line(net.forward, c, row[PACKED]), line(net.backward, c, row[PACKED])
     high = 1 if outputs == 1 else row[OUT_PANELS] * PANEL
-    for o in range(outputs):
+    _fold_bias(net, c, row)
+    for left in range(0, inputs, PANEL):
+        arrays = (
+            line(net.values, c, row[WEIGHT] + left),
+            line(net.backward, c, row[PACKED] + left * high),
+            line(net.norm[c], GAIN, start + left),
+        )
+        _scaled(outputs, inputs, min(PANEL, inputs - left), arrays)
+        if outputs > 1:
+            for top in range(0, outputs, PANEL):
+                transpose(forward, (top * row[IN_PANELS] + left) * PANEL, backward, left * high + top * PANEL)
+
+
+@compiled
+def _fold_bias(net: Net, c: int, row: Whole) -> None:
+    not_inlined()
+    inputs = row[IN]
+    weight, offset = line(net.values, c, row[WEIGHT]), line(net.norm[c], OFFSET, row[STATISTIC])
+    for o in range(row[OUT]):
         total = net.values[c, row[BIAS] + o]
         for i in range(inputs):
             total += weight[o * inputs + i] * offset[i]
         net.folded[c, row[FOLDED] + o] = total
-    for left in range(0, inputs, PANEL):
-        wide, scale = min(PANEL, inputs - left), gain[left : left + PANEL]
-        if wide == PANEL:
-            _scaled(outputs, inputs, (weight[left:], backward[left * high :], scale))
-        else:
-            for o in range(outputs):
-                for j in range(wide):
-                    backward[left * high + o * PANEL + j] = weight[o * inputs + left + j] * scale[j]
-        if outputs > 1:
-            for top in range(0, outputs, PANEL):
-                transpose(forward, (top * row[IN_PANELS] + left) * PANEL, backward, left * high + top * PANEL)

@@ -1,9 +1,8 @@
 """The passes over a panel of activations, shape (rows, 32), between two matrix products; see `over_rows`."""
 
+from frasa_rl.crossq_rows import Step, dot_rows, over_rows
 from frasa_rl.crossq_tiles import Array, compiled
-from frasa_rl.crossq_vectors import PANEL, Value, Vectors, dot_rows, not_inlined, over_rows
-
-Step = tuple[list[Value | None], list[Value]]
+from frasa_rl.crossq_vectors import PANEL, Value, Vectors, not_inlined
 
 
 def _rectify(v: Vectors, x: list[Value], _: list[Value], constants: list[Value]) -> Step:
@@ -43,7 +42,7 @@ _masked_single = over_rows(1, 0, 1, 3, 1, _mask_single)
 def bias_and_rectify(panel: Array, real: int, bias: Array, mean: Array, var: Array) -> None:
     """max(x + bias, 0) in place, with mean and unbiased variance of what comes out."""
     not_inlined()
-    _rectified(real, PANEL, (panel, bias, mean))
+    _rectified(real, PANEL, PANEL, (panel, bias, mean))
     _spread(panel, real, mean, var)
 
 
@@ -51,7 +50,7 @@ def bias_and_rectify(panel: Array, real: int, bias: Array, mean: Array, var: Arr
 def statistics(panel: Array, real: int, mean: Array, var: Array) -> None:
     """Mean and unbiased variance of the columns."""
     not_inlined()
-    _summed(real, PANEL, (panel, mean))
+    _summed(real, PANEL, PANEL, (panel, mean))
     _spread(panel, real, mean, var)
 
 
@@ -60,7 +59,7 @@ def _spread(panel: Array, real: int, mean: Array, var: Array) -> None:
     """From sums to means, and the variance about them."""
     for j in range(PANEL):
         mean[j] /= real
-    _squared(real, PANEL, (panel, mean, var))
+    _squared(real, PANEL, PANEL, (panel, mean, var))
     for j in range(PANEL):
         var[j] /= real - 1
 
@@ -69,14 +68,14 @@ def _spread(panel: Array, real: int, mean: Array, var: Array) -> None:
 def added(real: int, panel: Array, bias: Array) -> None:
     """Add the bias."""
     not_inlined()
-    _added(real, PANEL, (panel, bias))
+    _added(real, PANEL, PANEL, (panel, bias))
 
 
 @compiled
 def moved(real: int, panel: Array, center: Array) -> None:
     """Subtract the centre."""
     not_inlined()
-    _moved(real, PANEL, (panel, center))
+    _moved(real, PANEL, PANEL, (panel, center))
 
 
 @compiled
@@ -92,14 +91,14 @@ def product_of_one(y: Array, x: Array, rows: int, real: int, weight: Array, bias
 def weighted_sum(real: int, panel: Array, factor: Array, total: Array) -> None:
     """Sum of rows, each times its factor."""
     not_inlined()
-    _weighted(real, PANEL, (panel, factor, total))
+    _weighted(real, PANEL, PANEL, (panel, factor, total))
 
 
 @compiled
 def masked(real: int, panel: Array, step: Array, level: Array, factor: Array, total: Array) -> None:
     """X becomes step + level + factor x where x is above 0 and else 0; total: its sum over rows."""
     not_inlined()
-    _masked(real, PANEL, (panel, step, level, factor, total))
+    _masked(real, PANEL, PANEL, (panel, step, level, factor, total))
 
 
 @compiled
@@ -108,4 +107,13 @@ def masked_single(
 ) -> None:
     """The same with step = slope of the row times weight of the column."""
     not_inlined()
-    _masked_single(real, PANEL, (panel, slope, weight, level, factor, total))
+    _masked_single(real, PANEL, PANEL, (panel, slope, weight, level, factor, total))
+
+
+@compiled
+def clear(array: Array, first: int, last: int) -> None:
+    """Zeros in a stretch."""
+    not_inlined()
+    zero = array.dtype.type(0)
+    for i in range(first, last):
+        array[i] = zero

@@ -93,5 +93,4 @@ def _adam_rules(optimizer: torch.optim.Optimizer) -> npt.NDArray[np.float64]:
 def _norm_rules(bound: Bound) -> Array:
     """What `normalise` takes."""
     norm = bound.stacked[0][0][0]
-    rules = np.repeat([norm.eps, norm.momentum, float(norm.warmup_steps)], PANEL)
-    return rules.astype(bound.net.values.dtype)
+    return np.array([[one] * PANEL for one in (norm.eps, norm.momentum, norm.warmup_steps)], bound.net.values.dtype)

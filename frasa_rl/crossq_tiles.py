@@ -12,7 +12,7 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from frasa_rl.crossq_vectors import PANEL, Value, Vectors, not_inlined, registers
+from frasa_rl.crossq_vectors import PANEL, Value, Vectors, not_inlined, pointer, registers
 
 Array = npt.NDArray[Any]  # of float32; of float64 in tests
 
@@ -24,10 +24,7 @@ compiled = njit(nogil=True, error_model="numpy", fastmath={"reassoc", "contract"
 
 def _emit(context: Any, builder: Any, signature: Any, args: Any, transposed: bool) -> Any:  # noqa: ANN401
     """The instructions of `_tile`."""
-    c, a, b = (
-        builder.gep(context.make_array(signature.args[i])(context, builder, args[i]).data, [args[i + 1]])
-        for i in (0, 2, 5)
-    )
+    c, a, b = (builder.gep(pointer(context, builder, signature.args[i], args[i]), [args[i + 1]]) for i in (0, 2, 5))
     a_jump, b_jump, panels, length = args[4], args[7], args[8], args[9]
     vectors = Vectors(context, builder, signature.args[0].dtype)
     rows, lanes, whole = registers()[1], vectors.lanes, a_jump.type
