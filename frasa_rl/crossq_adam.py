@@ -1,20 +1,27 @@
-"""Adam over one line of parameters, as torch computes it."""
+"""Adam over one line of parameters, as torch computes it, and the projection of weights to their first length."""
 
 import math
 
-from frasa_rl.crossq_tiles import Array, compiled
-from frasa_rl.crossq_vectors import not_inlined
+import numpy as np
+import numpy.typing as npt
+
+from frasa_rl.crossq_net import IN, OUT, WEIGHT, Net
+from frasa_rl.crossq_vectors import Array, compiled, line, not_inlined
 
 RATE, FIRST, SECOND, EPSILON = range(4)
 
 
 @compiled
-def adam(value: Array, slope: Array, first: Array, second: Array, step: float, rules: Array) -> None:
-    """One step, the `step`-th (from 1).
+def adam(value: Array, slope: Array, first: Array, second: Array, step: float, rules: npt.NDArray[np.float64]) -> None:
+    """One step.
 
     Args:
-        value, slope, first, second: parameters, gradient and the two moments, one shape.
-        rules: learning rate, the two decays, epsilon (float64: corrections are computed in it).
+        value: parameters, shape (P,).
+        slope: gradient.
+        first: moment.
+        second: moment.
+        step: which step, from 1.
+        rules: learning rate, the two decays, epsilon (in double precision, as torch corrects for the start).
     """
     not_inlined()
     kind = value.dtype.type
@@ -28,3 +35,25 @@ def adam(value: Array, slope: Array, first: Array, second: Array, step: float, r
         v = keep * second[i] + fresh * g * g
         first[i], second[i] = m, v
         value[i] -= size * m / (kind(math.sqrt(v)) / root + epsilon)
+
+
+@compiled
+def learn(net: Net, step: float, rules: npt.NDArray[np.float64]) -> None:
+    """Adam's step of networks from their gradients, and the projection of weights that have a `radius`."""
+    adam(net.values.ravel(), net.slopes.ravel(), net.first.ravel(), net.second.ravel(), step, rules)
+    for c in range(len(net.radius)):
+        for layer in range(len(net.table)):
+            if net.radius[c, layer] > 0.0:
+                row = net.table[layer]
+                _project(line(net.values, c, row[WEIGHT]), row[IN] * row[OUT], net.radius[c, layer])
+
+
+@compiled
+def _project(weight: Array, size: int, radius: float) -> None:
+    """Scale a weight to its Frobenius norm (CrossQ + WN, arXiv 2502.07523)."""
+    total = 0.0
+    for i in range(size):
+        total += weight[i] * weight[i]
+    factor = weight.dtype.type(radius / math.sqrt(total))
+    for i in range(size):
+        weight[i] *= factor

@@ -21,8 +21,8 @@ from frasa_rl.crossq_net import (
 )
 from frasa_rl.crossq_passes import clear, masked, masked_single, weighted_sum
 from frasa_rl.crossq_rows import Step, over_rows
-from frasa_rl.crossq_tiles import PANEL, Array, compiled, product, product_of_rows
-from frasa_rl.crossq_vectors import Value, Vectors, line, not_inlined
+from frasa_rl.crossq_tiles import product, product_of_rows
+from frasa_rl.crossq_vectors import PANEL, Array, Value, Vectors, compiled, line, not_inlined
 
 BIAS_SLOPE, STEP, LEVEL, FACTOR, SUMMED, SHARES, ROOMS = range(7)  # rows of the scratch
 
@@ -77,7 +77,7 @@ def _unnormal(v: Vectors, x: list[Value], slope: list[Value], constants: list[Va
     return [new], [b.fmul(weight, normal), b.fmul(weight, slope[0])]
 
 
-_unnormalised = over_rows(3, 2, 1, 4, 2, _unnormal)
+_unnormalised = over_rows(_unnormal, panels=3, far=2, factors=1, constants=4, totals=2)
 
 
 @compiled
@@ -94,7 +94,7 @@ def _parameter_slopes(net: Net, c: int, layer: int, rows: int, real: int, dy: Ar
         if outputs == 1:
             weighted_sum(real, here, dy, raw)
         else:
-            product_of_rows(raw, dy, 0, row[OUT_PANELS], here, 0, rows)
+            product_of_rows(raw, dy, row[OUT_PANELS], here, rows)
         arrays = (
             line(net.slopes, c, row[WEIGHT] + left),
             line(net.values, c, row[WEIGHT] + left),
@@ -107,7 +107,7 @@ def _parameter_slopes(net: Net, c: int, layer: int, rows: int, real: int, dy: Ar
             line(net.slopes, c, row[SCALE] + left),
             line(net.slopes, c, row[SHIFT] + left),
         )
-        _unnormalised(outputs, inputs, min(PANEL, inputs - left), arrays)
+        _unnormalised((outputs, inputs, min(PANEL, inputs - left)), arrays)
 
 
 def _answer(v: Vectors, x: list[Value], _: list[Value], constants: list[Value]) -> Step:
@@ -122,7 +122,7 @@ def _answer(v: Vectors, x: list[Value], _: list[Value], constants: list[Value]) 
     return [b.fsub(b.fmul(of_mean, one), b.fmul(factor, mean)), factor], []
 
 
-_answered = over_rows(9, 0, 0, 2, 0, _answer)
+_answered = over_rows(_answer, panels=9, constants=2)
 
 
 @compiled
@@ -145,7 +145,7 @@ def _levels(net: Net, c: int, layer: int, real: int, room: Array) -> None:
         share,
         line(room, SHARES, PANEL),
     )
-    _answered(row[IN_PANELS], PANEL, PANEL, arrays)
+    _answered((row[IN_PANELS], PANEL, PANEL), arrays)
 
 
 @compiled

@@ -14,8 +14,8 @@ from frasa_rl.crossq_net import (
 )
 from frasa_rl.crossq_norm import fold, normalise
 from frasa_rl.crossq_passes import added, bias_and_rectify, product_of_one
-from frasa_rl.crossq_tiles import PANEL, Array, compiled, product
-from frasa_rl.crossq_vectors import line, not_inlined
+from frasa_rl.crossq_tiles import product
+from frasa_rl.crossq_vectors import PANEL, Array, compiled, line, not_inlined
 
 
 @compiled

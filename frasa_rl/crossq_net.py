@@ -1,12 +1,14 @@
 """Where the numbers of a network lie: parameters in one line, activations in panels, all of it allocated once."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from frasa_rl.crossq_tiles import PANEL, ROWS, Array
+from frasa_rl.crossq_tiles import ROWS
+from frasa_rl.crossq_vectors import PANEL, Array
 
 Whole = npt.NDArray[np.int64]
 
@@ -29,6 +31,7 @@ class Net(NamedTuple):
         values, slopes, first, second: parameters, gradients and Adam's two moments, shape (C, P).
         mean, var: running statistics of the inputs of all layers, shape (C, S).
         steps: batches the statistics have seen, shape (C, L).
+        radius: Frobenius norm that each layer's weight is kept at, 0 where it is free, shape (C, L).
         norm: batch renormalisation in this update, see above, shape (C, 8, S).
         forward, backward: weights with the normalisation in them, packed for the two directions, shape (C, W).
         folded: biases with the normalisation in them, shape (C, F).
@@ -45,6 +48,7 @@ class Net(NamedTuple):
     mean: Array
     var: Array
     steps: Whole
+    radius: Array
     norm: Array
     forward: Array
     backward: Array
@@ -72,7 +76,7 @@ def table_of(widths: Sequence[int], rows: int) -> tuple[Whole, dict[str, int]]:
     """The table of a network from its input to its output, and the sizes of its arrays."""
     size = dict.fromkeys(("values", "statistics", "packed", "folded", "active"), 0)
     table = []
-    for inputs, outputs in zip(widths[:-1], widths[1:], strict=True):
+    for inputs, outputs in pairwise(widths):
         in_panels, out_panels = padded(inputs, PANEL) // PANEL, padded(outputs, PANEL) // PANEL
         places = []
         for count in (inputs, inputs, inputs * outputs, outputs):
@@ -93,14 +97,20 @@ def network(widths: Sequence[int], count: int, rows: int, dtype: npt.DTypeLike) 
     values, statistics = (count, size["values"]), (count, size["statistics"])
     last = int(table[-1, OUT_PANELS]) * PANEL * padded(rows, ROWS)
     return Net(
-        table,
-        *(aligned(values, dtype) for _ in range(4)),
-        *(aligned(statistics, dtype) for _ in range(2)),
-        aligned((count, len(table)), np.int64),
-        aligned((count, 8, size["statistics"]), dtype),
-        *(aligned((count, size["packed"]), dtype) for _ in range(2)),
-        aligned((count, size["folded"]), dtype),
-        aligned((count, size["active"]), dtype),
-        aligned((count, last), dtype),
-        aligned((size["statistics"],), dtype),
+        table=table,
+        values=aligned(values, dtype),
+        slopes=aligned(values, dtype),
+        first=aligned(values, dtype),
+        second=aligned(values, dtype),
+        mean=aligned(statistics, dtype),
+        var=aligned(statistics, dtype),
+        steps=aligned((count, len(table)), np.int64),
+        radius=aligned((count, len(table)), dtype),
+        norm=aligned((count, 8, size["statistics"]), dtype),
+        forward=aligned((count, size["packed"]), dtype),
+        backward=aligned((count, size["packed"]), dtype),
+        folded=aligned((count, size["folded"]), dtype),
+        active=aligned((count, size["active"]), dtype),
+        result=aligned((count, last), dtype),
+        still=aligned((size["statistics"],), dtype),
     )

@@ -37,8 +37,7 @@ from frasa_rl.crossq_net import (
     Whole,
 )
 from frasa_rl.crossq_rows import Step, over_rows, transpose
-from frasa_rl.crossq_tiles import PANEL, Array, compiled
-from frasa_rl.crossq_vectors import Value, Vectors, line, not_inlined
+from frasa_rl.crossq_vectors import PANEL, Array, Emitted, Value, Vectors, compiled, line, not_inlined
 
 EPSILON, MOMENTUM, WARMUP = range(3)  # rows of the rules
 _MOST_RATIO, _MOST_SHIFT = 3.0, 5.0  # rmax and dmax of sb3-contrib
@@ -68,7 +67,7 @@ def _renormalised(v: Vectors, given: list[Value], epsilon: Value) -> tuple[Value
     return middle, b.fmul(batch_var, share), pull, share
 
 
-def _normalisation(middle: Middle, training: bool) -> Callable[..., None]:
+def _normalisation(middle: Middle, training: bool) -> Emitted:
     """The pass over features: panels are mean, var, gain, offset, middle, inverse, pull, share and what they need."""
 
     def row(v: Vectors, x: list[Value], _: list[Value], constants: list[Value]) -> Step:
@@ -85,8 +84,7 @@ def _normalisation(middle: Middle, training: bool) -> Callable[..., None]:
         var = v.product_sum(momentum, b.fsub(batch_var, var), var)
         return [mean, var, *result, pull, share], []
 
-    loop: Callable[..., None] = over_rows(13, 0, 0, 2, 0, row)
-    return loop
+    return over_rows(row, panels=13, constants=2)
 
 
 _inference = _normalisation(_running, training=False)
@@ -128,16 +126,16 @@ def normalise(net: Net, c: int, layer: int, training: bool, center: Array, rules
     )
     panels = row[IN_PANELS]
     if not training:
-        _inference(panels, PANEL, PANEL, arrays)
+        _inference((panels, PANEL, PANEL), arrays)
     else:
         if net.steps[c, layer] > rules[WARMUP, 0]:
-            _warm(panels, PANEL, PANEL, arrays)
+            _warm((panels, PANEL, PANEL), arrays)
         else:
-            _warming(panels, PANEL, PANEL, arrays)
+            _warming((panels, PANEL, PANEL), arrays)
         net.steps[c, layer] += 1
 
 
-_scaled = over_rows(2, 1, 0, 1, 0, lambda v, x, _, c: ([None, v.builder.fmul(x[0], c[0])], []))
+_scaled = over_rows(lambda v, x, _, c: ([None, v.builder.fmul(x[0], c[0])], []), panels=2, far=1, constants=1)
 
 
 @compiled
@@ -155,10 +153,11 @@ def fold(net: Net, c: int, layer: int) -> None:
             line(net.backward, c, row[PACKED] + left * high),
             line(net.norm[c], GAIN, start + left),
         )
-        _scaled(outputs, inputs, min(PANEL, inputs - left), arrays)
+        _scaled((outputs, inputs, min(PANEL, inputs - left)), arrays)
         if outputs > 1:
             for top in range(0, outputs, PANEL):
-                transpose(forward, (top * row[IN_PANELS] + left) * PANEL, backward, left * high + top * PANEL)
+                to, at = (top * row[IN_PANELS] + left) * PANEL, left * high + top * PANEL
+                transpose((to, at), (forward, backward))
 
 
 @compiled

@@ -8,8 +8,9 @@ import torch
 from sb3_contrib.crossq.policies import Actor, CrossQCritic
 
 from frasa_rl.crossq_bind import Bound, layers_of
-from frasa_rl.crossq_cpu import Rules, room, updates
-from frasa_rl.crossq_tiles import PANEL, Array
+from frasa_rl.crossq_cpu import Rules, updates
+from frasa_rl.crossq_squash import room
+from frasa_rl.crossq_vectors import PANEL, Array
 
 Losses = npt.NDArray[np.float64]
 
