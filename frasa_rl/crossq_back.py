@@ -22,7 +22,7 @@ from frasa_rl.crossq_net import (
 from frasa_rl.crossq_passes import clear, masked, masked_single, weighted_sum
 from frasa_rl.crossq_rows import Step, over_rows
 from frasa_rl.crossq_tiles import product, product_of_rows
-from frasa_rl.crossq_vectors import PANEL, Array, Value, Vectors, compiled, line, not_inlined
+from frasa_rl.crossq_vectors import PANEL, Array, Value, Vectors, compiled, inlined, line, not_inlined
 
 BIAS_SLOPE, STEP, LEVEL, FACTOR, SUMMED, SHARES, ROOMS = range(7)  # rows of the scratch
 
@@ -80,10 +80,9 @@ def _unnormal(v: Vectors, x: list[Value], slope: list[Value], constants: list[Va
 _unnormalised = over_rows(_unnormal, panels=3, far=2, factors=1, constants=4, totals=2)
 
 
-@compiled
+@inlined
 def _parameter_slopes(net: Net, c: int, layer: int, rows: int, real: int, dy: Array, x: Array, room: Array) -> None:
     """Gradients of a layer's weight and bias and of the normalisation before it."""
-    not_inlined()
     row, norm = net.table[layer], net.norm[c]
     inputs, outputs, raw, bias_slope = row[IN], row[OUT], room[STEP], room[BIAS_SLOPE]
     to = line(net.slopes, c, row[BIAS])
@@ -125,9 +124,8 @@ def _answer(v: Vectors, x: list[Value], _: list[Value], constants: list[Value]) 
 _answered = over_rows(_answer, panels=9, constants=2)
 
 
-@compiled
+@inlined
 def _levels(net: Net, c: int, layer: int, real: int, room: Array) -> None:
-    not_inlined()
     row, norm, share = net.table[layer], net.norm[c], room[SHARES]
     start = row[STATISTIC]
     for j in range(PANEL):
@@ -148,7 +146,7 @@ def _levels(net: Net, c: int, layer: int, real: int, room: Array) -> None:
     _answered((row[IN_PANELS], PANEL, PANEL), arrays)
 
 
-@compiled
+@inlined
 def _pass_back(
     net: Net, c: int, layer: int, rows: int, real: int, learning: bool, dy: Array, x: Array, room: Array
 ) -> None:
@@ -157,7 +155,6 @@ def _pass_back(
     A normalised input's gradient g reaches the input as gain g + a + b x: a and b are how the batch's mean and variance
     answer, and need only sums of g and g x, which are the gradients of the normalisation's shift and scale.
     """
-    not_inlined()
     row, weight = net.table[layer], line(net.backward, c, net.table[layer, PACKED])
     panels, wide = row[IN_PANELS], row[OUT_PANELS] * PANEL * PANEL
     if learning:
@@ -178,10 +175,9 @@ def _pass_back(
         room[BIAS_SLOPE, j] = room[SUMMED, j]
 
 
-@compiled
+@inlined
 def _to_input(net: Net, c: int, rows: int, dy: Array, x: Array, step: Array) -> None:
     """The gradient of the input, in its place; of several networks their sum."""
-    not_inlined()
     row = net.table[0]
     for panel in range(row[IN_PANELS]):
         at = row[PACKED] + panel * row[OUT_PANELS] * PANEL * PANEL

@@ -20,7 +20,7 @@ from frasa_rl.crossq_layers import forward, refold
 from frasa_rl.crossq_net import BATCH_MEAN, Net
 from frasa_rl.crossq_passes import clear
 from frasa_rl.crossq_squash import Room, actor_slopes, draw
-from frasa_rl.crossq_vectors import Array, compiled, entry, line, not_inlined
+from frasa_rl.crossq_vectors import Array, entry, inlined, line
 
 CRITIC_LOSS, ACTOR_LOSS, ENTROPY, ENTROPY_LOSS = range(4)  # columns of what `updates` writes
 _OBSERVATIONS, _ACTIONS, _FOLLOWING, _REWARDS, _DONES, _DISCOUNTS, _NEXT_NOISE, _NOISE = range(8)
@@ -50,10 +50,9 @@ class Rules(NamedTuple):
     entropy_adam: Numbers
 
 
-@compiled
+@inlined
 def _judge_pairs(actor: Net, critic: Net, k: int, data: Data, rules: Rules, room: Room) -> None:
     """The critics' output for (s, a), then (s', a') with a' drawn from the policy, in training."""
-    not_inlined()
     observations, following = data[_OBSERVATIONS][k], data[_FOLLOWING][k]
     batch, seen = observations.shape
     rows, center = padded_rows(batch), line(actor.mean, 0, 0)
@@ -72,10 +71,9 @@ def _judge_pairs(actor: Net, critic: Net, k: int, data: Data, rules: Rules, room
         forward(critic, c, rows, both, True, center, rules.critic_norm)
 
 
-@compiled
+@inlined
 def _critic_loss(critic: Net, k: int, data: Data, alpha: float, room: Room) -> float:
     """Half the squared errors' mean, summed over critics; its gradient is left in `result`."""
-    not_inlined()
     q, loss = critic.result, 0.0
     rewards, dones, discounts = data[_REWARDS], data[_DONES], data[_DISCOUNTS]
     batch = rewards.shape[1]
@@ -94,10 +92,9 @@ def _critic_loss(critic: Net, k: int, data: Data, alpha: float, room: Room) -> f
     return loss
 
 
-@compiled
+@inlined
 def _learn_critic(actor: Net, critic: Net, k: int, data: Data, alpha: float, rules: Rules, room: Room) -> float:
     """Gradients of the critics; returns their loss."""
-    not_inlined()
     _judge_pairs(actor, critic, k, data, rules, room)
     loss = _critic_loss(critic, k, data, alpha, room)
     both = 2 * data[_REWARDS].shape[1]
@@ -106,10 +103,9 @@ def _learn_critic(actor: Net, critic: Net, k: int, data: Data, alpha: float, rul
     return loss
 
 
-@compiled
+@inlined
 def _judge(critic: Net, observations: Array, rules: Rules, room: Room) -> float:
     """The critics' least value of the policy's actions; leaves minus its mean's gradient in their input."""
-    not_inlined()
     batch, seen = observations.shape
     rows, total, center = padded_rows(batch), 0.0, line(critic.mean, 0, 0)
     put(critic, rows, 0, 0, observations)
@@ -131,12 +127,11 @@ def _judge(critic: Net, observations: Array, rules: Rules, room: Room) -> float:
     return total / batch
 
 
-@compiled
+@inlined
 def _learn_actor(
     actor: Net, critic: Net, k: int, data: Data, alpha: float, rules: Rules, room: Room
 ) -> tuple[float, float]:
     """Gradients of the policy; returns its loss and the mean log probability of its actions."""
-    not_inlined()
     observations = data[_OBSERVATIONS][k]
     batch, seen = observations.shape
     rows, center = padded_rows(batch), line(actor.norm[0], BATCH_MEAN, 0)
@@ -153,7 +148,7 @@ def _learn_actor(
     return alpha * log_probability - value, log_probability
 
 
-@compiled
+@inlined
 def _all_updates(
     actor: Net,
     critic: Net,

@@ -15,7 +15,7 @@ from frasa_rl.crossq_net import (
 from frasa_rl.crossq_norm import fold, normalise
 from frasa_rl.crossq_passes import added, bias_and_rectify, product_of_one
 from frasa_rl.crossq_tiles import product
-from frasa_rl.crossq_vectors import PANEL, Array, compiled, line, not_inlined
+from frasa_rl.crossq_vectors import PANEL, Array, compiled, inlined, line, not_inlined
 
 
 @compiled
@@ -45,7 +45,7 @@ def forward(net: Net, c: int, rows: int, real: int, training: bool, center: Arra
             _to_many(net, c, layer, rows, real)
 
 
-@compiled
+@inlined
 def _to_one(net: Net, c: int, layer: int, rows: int, real: int) -> None:
     """The last layer of a critic."""
     row = net.table[layer]
@@ -53,7 +53,7 @@ def _to_one(net: Net, c: int, layer: int, rows: int, real: int) -> None:
     product_of_one(line(net.result, c, 0), x, rows, real, weight, net.folded[c, row[FOLDED]], row[IN_PANELS])
 
 
-@compiled
+@inlined
 def _to_many(net: Net, c: int, layer: int, rows: int, real: int) -> None:
     """A hidden layer with the statistics of what comes out, or the last one of an actor."""
     row, last = net.table[layer], layer == len(net.table) - 1

@@ -37,7 +37,7 @@ from frasa_rl.crossq_net import (
     Whole,
 )
 from frasa_rl.crossq_rows import Step, over_rows, transpose
-from frasa_rl.crossq_vectors import PANEL, Array, Emitted, Value, Vectors, compiled, line, not_inlined
+from frasa_rl.crossq_vectors import PANEL, Array, Emitted, Value, Vectors, compiled, inlined, line, not_inlined
 
 EPSILON, MOMENTUM, WARMUP = range(3)  # rows of the rules
 _MOST_RATIO, _MOST_SHIFT = 3.0, 5.0  # rmax and dmax of sb3-contrib
@@ -160,9 +160,8 @@ def fold(net: Net, c: int, layer: int) -> None:
                 transpose((to, at), (forward, backward))
 
 
-@compiled
+@inlined
 def _fold_bias(net: Net, c: int, row: Whole) -> None:
-    not_inlined()
     inputs = row[IN]
     weight, offset = line(net.values, c, row[WEIGHT]), line(net.norm[c], OFFSET, row[STATISTIC])
     for o in range(row[OUT]):

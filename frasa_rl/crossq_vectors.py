@@ -27,6 +27,11 @@ def compiled(function: _Written) -> _Written:
     return cast(_Written, _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)(function))
 
 
+def inlined(function: _Written) -> _Written:
+    """Compile as a part of its caller: every function called is compiled again within each of its callers."""
+    return cast(_Written, _njit(inline="always", **_OPTIONS)(function))
+
+
 def entry(function: _Written) -> _Written:
     """Compile for Python; what it calls is kept on disk with it."""
     return cast(_Written, _njit(cache=True, **_OPTIONS)(function))
