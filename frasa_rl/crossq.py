@@ -1,10 +1,11 @@
 """CrossQ that learns fast: sb3-contrib's model and files, the updates of our own."""
 
+import copy
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from gymnasium import spaces
 from sb3_contrib import CrossQ
@@ -13,6 +14,7 @@ from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.utils import update_learning_rate
 
 from frasa_rl.batches import Batches
+from frasa_rl.crossq_cpu import Data
 from frasa_rl.crossq_processor import Processor
 
 
@@ -21,9 +23,10 @@ class Losses:
     """Means over the updates of a call; NaN where none of that kind was made.
 
     Attributes:
-        critic, actor: losses.
-        entropy: the entropy coefficient.
-        entropy_loss: its loss; NaN where it is fixed, too.
+        critic: loss.
+        actor: loss.
+        entropy: coefficient.
+        entropy_loss: of the coefficient; NaN where it is fixed, too.
     """
 
     critic: float
@@ -32,13 +35,23 @@ class Losses:
     entropy_loss: float
 
 
-class FastCrossQ(CrossQ):  # type: ignore[misc]
+class FastCrossQ(CrossQ):
     """sb3-contrib's CrossQ with its updates compiled: same arguments, same files, same numbers up to rounding.
 
     What the compiled updates do not know (`obstacle` says what) is learned by sb3-contrib's own `train`.
+
+    Args:
+        given: sb3-contrib's arguments.
+        weight_norm: keep each hidden layer's weight at its first Frobenius norm (CrossQ + WN, arXiv 2502.07523): batch
+            normalisation after it makes its length meaningless, but as it grows steps of a given size turn it less.
+        more: sb3-contrib's arguments.
     """
 
-    _processor: Processor | None = None
+    _learner: Processor | None = None
+
+    def __init__(self, *given: Any, weight_norm: bool = False, **more: Any) -> None:  # noqa: ANN401
+        self.weight_norm = weight_norm
+        super().__init__(*given, **more)
 
     @property
     def fast(self) -> bool:
@@ -48,37 +61,46 @@ class FastCrossQ(CrossQ):  # type: ignore[misc]
     @property
     def obstacle(self) -> str | None:
         """What the compiled updates do not know of this model; none if they know all."""
-        actor, critic = self.actor, self.critic
-        modules = [*actor.latent_pi, *(module for net in critic.q_networks for module in net)]
-        groups = [group for optimizer in (actor.optimizer, critic.optimizer) for group in optimizer.param_groups]
-        known = {
-            "another device than a processor": self.device.type == "cpu",
-            "state-dependent noise (gSDE)": not self.use_sde,
-            "observations that are no vector": isinstance(self.observation_space, spaces.Box)
-            and len(self.observation_space.shape) == 1,
-            "another features extractor": isinstance(actor.features_extractor, FlattenExtractor)
-            and isinstance(critic.features_extractor, FlattenExtractor),
-            "an optimizer other than Adam": all(type(one.optimizer) is torch.optim.Adam for one in (actor, critic)),
-            "weight decay, AMSGrad or groups in Adam": len(groups) == 2
-            and not any(group["weight_decay"] or group["amsgrad"] or group["maximize"] for group in groups),
-            "no batch renormalisation": any(isinstance(one, BatchRenorm1d) for one in modules),
-            "an activation other than ReLU": all(
+        actor: Any = self.actor
+        critic: Any = self.critic
+        nets = [list(net) for net in (actor.latent_pi, *critic.q_networks)]
+        modules = [module for net in nets for module in net]
+        optimizers = [actor.optimizer, critic.optimizer]
+        groups = [group for optimizer in optimizers for group in optimizer.param_groups]
+        space, extractors = self.observation_space, [actor.features_extractor, critic.features_extractor]
+        known: dict[str, Callable[[], bool]] = {
+            "a device other than a processor": lambda: self.device.type == "cpu",
+            "state-dependent noise (gSDE)": lambda: not self.use_sde,
+            "observations that are not one vector": lambda: isinstance(space, spaces.Box) and len(space.shape) == 1,
+            "a features extractor": lambda: all(type(one) is FlattenExtractor for one in extractors),
+            "an optimizer other than Adam": lambda: all(type(one) is torch.optim.Adam for one in optimizers),
+            "weight decay, AMSGrad or parameter groups": lambda: (
+                len(groups) == 2
+                and not any(group[name] for group in groups for name in ("weight_decay", "amsgrad", "maximize"))
+            ),
+            "no batch renormalisation": lambda: any(isinstance(one, BatchRenorm1d) for one in modules),
+            "an activation other than ReLU": lambda: all(
                 isinstance(one, torch.nn.ReLU | torch.nn.Linear | BatchRenorm1d) for one in modules
             ),
-            "no hidden layer": all(len(net) > 2 for net in (actor.latent_pi, *critic.q_networks)),
+            "a network without hidden layers": lambda: all(len(net) > 2 for net in nets),
         }
-        return next((what for what, fine in known.items() if not fine), None)
+        return next((what for what, fine in known.items() if not fine()), None)
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
-        """SB3's interface: draw from the replay buffer as sb3-contrib does, and learn."""
+        """SB3's interface: draw from the replay buffer as sb3-contrib does, and learn.
+
+        Raises:
+            ValueError: `weight_norm` for a model that only sb3-contrib's own updates know.
+        """
         if not self.fast:
+            if self.weight_norm:
+                raise ValueError(f"weight_norm needs compiled updates, which do not know {self.obstacle}")
             super().train(gradient_steps, batch_size)
             return
         self.policy.set_training_mode(True)
-        optimizers = [self.actor.optimizer, self.critic.optimizer]
-        if self.ent_coef_optimizer is not None:
-            optimizers.append(self.ent_coef_optimizer)
-        self._update_learning_rate(optimizers)
+        self.actor.set_bn_training_mode(False)  # sb3-contrib leaves them so
+        self.critic.set_bn_training_mode(False)
+        self._update_learning_rate(self._optimizers())
         losses = self._learn(self._draw(gradient_steps, batch_size))
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
         self.logger.record("train/ent_coef", losses.entropy)
@@ -88,62 +110,84 @@ class FastCrossQ(CrossQ):  # type: ignore[misc]
         if not np.isnan(losses.entropy_loss):
             self.logger.record("train/ent_coef_loss", losses.entropy_loss)
 
-    def _draw(self, count: int, size: int) -> Batches:
-        """Batches and noise, from numpy's and torch's global generators in sb3-contrib's order."""
-        drawn = []
-        kind = self.actor.mu.weight.dtype
-        shape = (size, int(self.actor.mu.out_features))
-        for update in range(self._n_updates + 1, self._n_updates + count + 1):
-            data = self.replay_buffer.sample(size, env=self._vec_normalize_env)
-            discounts = data.discounts if data.discounts is not None else torch.full((size, 1), self.gamma, dtype=kind)
-            next_noise = torch.empty(shape, dtype=kind).normal_()
-            noise = torch.empty(shape, dtype=kind).normal_() if update % self.policy_delay == 0 else next_noise
-            columns = [data.rewards, data.dones, discounts]
-            matrices = [data.observations, data.actions, data.next_observations]
-            drawn.append([*matrices, *(one.view(-1) for one in columns), next_noise, noise])
-        return Batches(*(torch.stack(parts).to(kind).numpy() for parts in zip(*drawn, strict=True)))
-
     def update(self, batches: Batches) -> Losses:
-        """As many updates as there are batches; other threads run meanwhile, no global generator is touched.
+        """As many updates as there are batches; no global generator is touched.
+
+        Other threads run meanwhile; they must not use this model's tensors, which change.
 
         Raises:
-            ValueError: a shape that does not fit, or a number that is none.
+            ValueError: a model that compiled updates do not know, a shape that does not fit, a number that is none.
         """
         if not self.fast:
             raise ValueError(f"the compiled updates do not know {self.obstacle}")
-        optimizers = [self.actor.optimizer, self.critic.optimizer]
-        if self.ent_coef_optimizer is not None:
-            optimizers.append(self.ent_coef_optimizer)
-        for optimizer in optimizers:
+        for optimizer in self._optimizers():
             update_learning_rate(optimizer, self.lr_schedule(self._current_progress_remaining))
         return self._learn(batches)
+
+    def set_parameters(self, load_path_or_dict: Any, *given: Any, **more: Any) -> None:  # noqa: ANN401
+        """SB3's own, of a copy: torch would share another model's moments. The learner takes them up when it learns."""
+        known = isinstance(load_path_or_dict, dict)
+        super().set_parameters(copy.deepcopy(load_path_or_dict) if known else load_path_or_dict, *given, **more)
+        self._learner = None
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "FastCrossQ":
+        """A copy that learns on its own: its tensors are no views until it does."""
+        new = type(self).__new__(type(self))
+        memo[id(self)] = new
+        new.__dict__.update({k: copy.deepcopy(v, memo) for k, v in self.__dict__.items() if k != "_learner"})
+        return new
+
+    def _optimizers(self) -> list[torch.optim.Optimizer]:
+        optimizers = [self.actor.optimizer, self.critic.optimizer]
+        return optimizers if self.ent_coef_optimizer is None else [*optimizers, self.ent_coef_optimizer]
+
+    def _kind(self) -> torch.dtype:
+        kind: torch.dtype = self.critic.optimizer.param_groups[0]["params"][0].dtype
+        return kind
+
+    def _draw(self, count: int, size: int) -> Batches:
+        """Batches and noise, from numpy's and torch's global generators in sb3-contrib's order."""
+        if self.replay_buffer is None:
+            raise TypeError("a model that has no environment has no replay buffer to learn from")
+        kind, shape, drawn = self._kind(), (size, *(self.action_space.shape or ())), []
+        for update in range(self._n_updates + 1, self._n_updates + count + 1):
+            data = self.replay_buffer.sample(size, env=self._vec_normalize_env)
+            discounts = torch.full((size,), self.gamma, dtype=kind) if data.discounts is None else data.discounts
+            next_noise = torch.empty(shape, dtype=kind).normal_()
+            noise = torch.empty(shape, dtype=kind).normal_() if update % self.policy_delay == 0 else next_noise
+            columns = [one.view(-1) for one in (data.rewards, data.dones, discounts)]
+            drawn.append([data.observations, data.actions, data.next_observations, *columns, next_noise, noise])
+        return Batches(*(torch.stack(parts).to(kind).numpy() for parts in zip(*drawn, strict=True)))
 
     def _learn(self, batches: Batches) -> Losses:
         data = self._checked(batches)
         size = data[0].shape[1]
-        if self._processor is None or self._processor.batch != size:
-            self._processor = Processor(self.actor, self.critic, size, self.policy_delay, float(self.target_entropy))
-        fixed = self.log_ent_coef is None
-        entropy = torch.log(self.ent_coef_tensor).view(1) if fixed else self.log_ent_coef
-        losses = self._processor.run(data, self._n_updates, entropy, self.ent_coef_optimizer)
+        if self._learner is None or self._learner.batch != size:
+            self._learner = Processor(self, size, self.weight_norm)
+        losses = self._learner.run(data, self._n_updates)
         self._n_updates += len(losses)
         known = [column[~np.isnan(column)] for column in losses.T]
         return Losses(*(float(column.mean()) if len(column) else float("nan") for column in known))
 
-    def _checked(self, batches: Batches) -> tuple[npt.NDArray[Any], ...]:
+    def _checked(self, batches: Batches) -> Data:
         """The arrays, in memory as the compiled updates read them."""
-        seen, count = self.observation_space.shape[0], self.action_space.shape[0]
         lead = np.shape(batches.observations)[:2]
-        names = list(Batches.__dataclass_fields__)
-        ends = dict(zip(names, ((seen,), (count,), (seen,), (), (), (), (count,), (count,)), strict=True))
-        for name, end in ends.items():
-            array = getattr(batches, name)
-            if array.shape != (*lead, *end) or len(lead) != 2 or 0 in lead:
+        seen, acted = self.observation_space.shape, self.action_space.shape
+        if seen is None or acted is None or len(lead) != 2 or 0 in lead:
+            raise ValueError(f"observations of the batches have shape {np.shape(batches.observations)}")
+        ends = (seen, acted, seen, (), (), (), acted, acted)
+        kind = str(self._kind()).removeprefix("torch.")
+        arrays = []
+        for name, end in zip(Batches.__dataclass_fields__, ends, strict=True):
+            array = np.ascontiguousarray(getattr(batches, name), kind)
+            if array.shape != (*lead, *end):
                 raise ValueError(f"{name} of the batches have shape {array.shape}: expected {(*lead, *end)}")
-            if not np.isfinite(array.sum()):
-                raise ValueError(f"{name} of the batches hold a number that is not finite")
-        kind = np.dtype(str(self.actor.mu.weight.dtype).removeprefix("torch."))
-        return tuple(np.ascontiguousarray(getattr(batches, name), kind) for name in names)
+            with np.errstate(over="ignore", invalid="ignore"):
+                if not np.isfinite(array.sum()):
+                    raise ValueError(f"{name} of the batches hold a number that is not finite")
+            arrays.append(array)
+        observations, actions, following, rewards, dones, discounts, next_noise, noise = arrays
+        return observations, actions, following, rewards, dones, discounts, next_noise, noise
 
     def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), "_processor"]
+        return [*super()._excluded_save_params(), "_learner"]

@@ -1,6 +1,6 @@
 """Torch modules and optimizers whose tensors are views of the learner's own arrays."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import torch
@@ -13,10 +13,11 @@ View = tuple[Any, str, torch.Tensor]
 _STATE = ("step", "exp_avg", "exp_avg_sq")  # of torch's Adam
 
 
-def layers_of(modules: Sequence[torch.nn.Module], heads: Sequence[torch.nn.Linear] = ()) -> list[Layer]:
+def layers_of(modules: Iterable[torch.nn.Module], heads: Sequence[torch.nn.Linear] = ()) -> list[Layer]:
     """Each batch renormalisation with the linear layer after it; heads side by side are one layer."""
-    norms = [module for module in modules if isinstance(module, BatchRenorm1d)]
-    linear = [[module] for module in modules if isinstance(module, torch.nn.Linear)]
+    given = list(modules)
+    norms = [module for module in given if isinstance(module, BatchRenorm1d)]
+    linear = [[module] for module in given if isinstance(module, torch.nn.Linear)]
     return list(zip(norms, [*linear, list(heads)] if heads else linear, strict=True))
 
 
@@ -56,7 +57,7 @@ class Bound:
                 yield norm, "ra_var", torch.from_numpy(self.net.var[c, start:end])
                 yield norm, "steps", torch.from_numpy(self.net.steps[c, layer : layer + 1]).view(())
 
-    def _parameter(self, c: int, owner: torch.nn.Parameter, start: int) -> Iterator[View]:
+    def _parameter(self, c: int, owner: torch.Tensor, start: int) -> Iterator[View]:
         lines = {"data": self.net.values, "exp_avg": self.net.first, "exp_avg_sq": self.net.second}
         for name, line in lines.items():
             yield owner, name, torch.from_numpy(line[c, start : start + owner.numel()]).view(owner.shape)
@@ -84,6 +85,12 @@ class Bound:
             return state
         tensor: torch.Tensor = owner if name == "data" else getattr(owner, name)
         return tensor
+
+    def keep_norms(self) -> None:
+        """From now on keep the Frobenius norm of each weight that a batch renormalisation follows."""
+        for c, layers in enumerate(self.stacked):
+            for layer, (_, heads) in enumerate(layers[:-1]):
+                self.net.radius[c, layer] = float(heads[0].weight.detach().norm())
 
     @property
     def step(self) -> float:

@@ -36,6 +36,7 @@ class Rules(NamedTuple):
         delay: critic updates to one of the policy.
         target_entropy: of the entropy coefficient.
         tuned: whether the entropy coefficient learns.
+        fixed: entropy coefficient where it does not.
         actor_norm, critic_norm: see `crossq_norm.normalise`.
         actor_adam, critic_adam, entropy_adam: see `crossq_adam.adam`.
     """
@@ -43,6 +44,7 @@ class Rules(NamedTuple):
     delay: int
     target_entropy: float
     tuned: bool
+    fixed: float
     actor_norm: Array
     critic_norm: Array
     actor_adam: Numbers
@@ -124,7 +126,7 @@ def _judge(critic: Net, observations: Array, rules: Rules, room: Room) -> float:
             q[c, n] = -1.0 / batch if c == least else 0.0
     for c in range(len(q)):
         backward(critic, c, rows, batch, False, True, room.scratch)
-    return total / batch
+    return float(total / batch)
 
 
 @inlined
@@ -163,7 +165,7 @@ def _all_updates(
     """What `updates` does."""
     refold(actor, 0, line(actor.mean, 0, 0), rules.actor_norm)
     for k in range(len(losses)):
-        alpha = math.exp(entropy[0][0])
+        alpha = math.exp(entropy[0][0]) if rules.tuned else rules.fixed
         losses[k, ENTROPY] = alpha
         losses[k, CRITIC_LOSS] = _learn_critic(actor, critic, k, data, alpha, rules, room)
         steps[1] += 1.0

@@ -1,88 +1,92 @@
 """The learner on a processor: torch's tensors on one side, the compiled updates on the other."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
-from sb3_contrib.crossq.policies import Actor, CrossQCritic
+from sb3_contrib import CrossQ
 
 from frasa_rl.crossq_bind import Bound, layers_of
-from frasa_rl.crossq_cpu import Rules, updates
+from frasa_rl.crossq_cpu import Data, Rules, updates
 from frasa_rl.crossq_squash import room
 from frasa_rl.crossq_vectors import PANEL, Array
 
 Losses = npt.NDArray[np.float64]
+_MOMENTS = ("exp_avg", "exp_avg_sq")
 
 
 class Processor:
     """Networks of a model bound to arrays, for batches of one size.
 
     Args:
-        actor, critic: sb3-contrib's modules with their optimizers; their tensors become views.
+        model: its actor's, its critics' and their optimizers' tensors become views.
         batch: transitions an update.
-        delay: critic updates to one of the policy.
-        target_entropy: of the entropy coefficient.
+        weight_norm: keep the Frobenius norms that weights of hidden layers have now.
     """
 
-    def __init__(self, actor: Actor, critic: CrossQCritic, batch: int, delay: int, target_entropy: float) -> None:
-        heads = [actor.mu, actor.log_std]
-        self.actor = Bound([layers_of(list(actor.latent_pi), heads)], actor.optimizer, batch)
-        nets = [layers_of(list(net)) for net in critic.q_networks]
-        self.critic = Bound(nets, critic.optimizer, 2 * batch)
-        self.batch, self.delay, self.target_entropy = batch, delay, target_entropy
-        self.dtype = self.actor.net.values.dtype
+    def __init__(self, model: CrossQ, batch: int, weight_norm: bool) -> None:
+        actor: Any = model.actor
+        critics: Sequence[Any] = model.critic.q_networks
+        self._model, self.batch = model, batch
+        self.actor = Bound([layers_of(actor.latent_pi, [actor.mu, actor.log_std])], model.actor.optimizer, batch)
+        self.critic = Bound([layers_of(net) for net in critics], model.critic.optimizer, 2 * batch)
         widest = max(int(bound.net.table[:, :2].max()) for bound in (self.actor, self.critic))
-        self._room = room(batch, int(actor.mu.out_features), widest, self.dtype)
+        self.dtype = self.actor.net.values.dtype
+        self._room = room(batch, actor.mu.out_features, widest, self.dtype)
+        for bound in (self.actor, self.critic):
+            bound.bind()
+            if weight_norm:
+                bound.keep_norms()
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> None:
-        """A copied model binds its own tensors when it learns."""
-
-    def run(
-        self, data: tuple[Array, ...], done: int, entropy: torch.Tensor, optimizer: torch.optim.Adam | None
-    ) -> Losses:
-        """All updates that the arrays hold, in the order of `Batches`.
+    def run(self, data: Data, done: int) -> Losses:
+        """All updates that the arrays hold.
 
         Args:
+            data: arrays in the order of `Batches`.
             done: updates made before.
-            entropy: logarithm of the entropy coefficient, shape (1,).
-            optimizer: its; none where it is fixed.
 
         Returns:
             Losses of critic and actor, entropy coefficient and its loss, shape (K, 4); NaN where there was no update.
         """
         self.actor.bind()
         self.critic.bind()
-        state = _adam_state(optimizer, entropy)
+        entropy = self._model.log_ent_coef
+        value = torch.from_numpy(np.zeros(1, self.dtype)) if entropy is None else entropy.detach()
+        state = _adam_state(self._model.ent_coef_optimizer, entropy, value)
         steps = np.array([self.actor.step, self.critic.step, float(state["step"])])
         losses = np.full((len(data[0]), 4), np.nan)
-        lines = (entropy.detach().numpy(), np.zeros(1, self.dtype), *(state[name].numpy() for name in _MOMENTS))
-        updates(self.actor.net, self.critic.net, lines, steps, done, data, self._rules(optimizer), self._room, losses)
+        first, second = (state[name].numpy() for name in _MOMENTS)
+        lines = value.numpy(), np.zeros(1, self.dtype), first, second
+        updates(self.actor.net, self.critic.net, lines, steps, done, data, self._rules(), self._room, losses)
         self.actor.step, self.critic.step = steps[0], steps[1]
         state["step"].fill_(steps[2])
         return losses
 
-    def _rules(self, optimizer: torch.optim.Adam | None) -> Rules:
+    def _rules(self) -> Rules:
+        model = self._model
+        tuned = model.ent_coef_optimizer is not None
         return Rules(
-            self.delay,
-            self.target_entropy,
-            optimizer is not None,
-            _norm_rules(self.actor),
-            _norm_rules(self.critic),
-            _adam_rules(self.actor.optimizer),
-            _adam_rules(self.critic.optimizer),
-            _adam_rules(optimizer or self.actor.optimizer),
+            delay=model.policy_delay,
+            target_entropy=float(model.target_entropy),
+            tuned=tuned,
+            fixed=0.0 if tuned else float(model.ent_coef_tensor),
+            actor_norm=_norm_rules(self.actor),
+            critic_norm=_norm_rules(self.critic),
+            actor_adam=_adam_rules(model.actor.optimizer),
+            critic_adam=_adam_rules(model.critic.optimizer),
+            entropy_adam=_adam_rules(model.ent_coef_optimizer or model.actor.optimizer),
         )
 
 
-_MOMENTS = ("exp_avg", "exp_avg_sq")
-
-
-def _adam_state(optimizer: torch.optim.Adam | None, value: torch.Tensor) -> dict[str, torch.Tensor]:
-    """What Adam knows of one tensor; zeros that it keeps from now on where it has made no step."""
-    state = {} if optimizer is None else optimizer.state[value]
+def _adam_state(
+    optimizer: torch.optim.Adam | None, owner: torch.Tensor | None, value: torch.Tensor
+) -> dict[str, torch.Tensor]:
+    """What Adam knows of the entropy coefficient; zeros, which it keeps, where it has made no step."""
+    state: dict[str, torch.Tensor] = {} if optimizer is None or owner is None else optimizer.state[owner]
     if not state:
-        state.update(step=torch.zeros(()), **{name: torch.zeros_like(value, requires_grad=False) for name in _MOMENTS})
+        state.update({"step": torch.zeros(()), **{name: torch.zeros_like(value) for name in _MOMENTS}})
     return state
 
 

@@ -18,6 +18,7 @@ Value = Any  # a number, vector or pointer of the program that is emitted; llvml
 _Written = TypeVar("_Written", bound=Callable[..., Any])
 _tools: Any = cgutils
 _arrays: Any = arrayobj
+_types: Any = types
 _njit: Any = njit
 _OPTIONS = {"nogil": True, "error_model": "numpy", "fastmath": {"reassoc", "contract", "nsz"}}
 
@@ -191,7 +192,7 @@ def emitted(count: int, emit: Emit) -> Emitted:
             emit(Vectors(context, builder, kinds[0].dtype), _tools.unpack_tuple(builder, args[0], count), starts)
             return context.get_dummy_value()
 
-        return types.void(types.UniTuple(types.intp, count), arrays), generate
+        return types.void(_types.UniTuple(types.intp, count), arrays), generate
 
     return cast(Emitted, intrinsic(typed))
 
