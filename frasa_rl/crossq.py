@@ -3,7 +3,7 @@
 import copy
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ from stable_baselines3.common.utils import update_learning_rate
 
 from frasa_rl.batches import Batches
 from frasa_rl.crossq_cpu import Data
+from frasa_rl.crossq_gpu import Device
 from frasa_rl.crossq_processor import Processor
 
 
@@ -47,7 +48,8 @@ class FastCrossQ(CrossQ):
         more: sb3-contrib's arguments.
     """
 
-    _learner: Processor | None = None
+    _learner: Processor | Device | None = None
+    _engines: ClassVar[dict[str, type[Processor] | type[Device]]] = {"cpu": Processor, "cuda": Device}
 
     def __init__(self, *given: Any, weight_norm: bool = False, **more: Any) -> None:  # noqa: ANN401
         self.weight_norm = weight_norm
@@ -69,7 +71,7 @@ class FastCrossQ(CrossQ):
         groups = [group for optimizer in optimizers for group in optimizer.param_groups]
         space, extractors = self.observation_space, [actor.features_extractor, critic.features_extractor]
         known: dict[str, Callable[[], bool]] = {
-            "a device other than a processor": lambda: self.device.type == "cpu",
+            "a device other than a processor or CUDA": lambda: self.device.type in self._engines,
             "state-dependent noise (gSDE)": lambda: not self.use_sde,
             "observations that are not one vector": lambda: isinstance(space, spaces.Box) and len(space.shape) == 1,
             "a features extractor": lambda: all(type(one) is FlattenExtractor for one in extractors),
@@ -149,21 +151,23 @@ class FastCrossQ(CrossQ):
         """Batches and noise, from numpy's and torch's global generators in sb3-contrib's order."""
         if self.replay_buffer is None:
             raise TypeError("a model that has no environment has no replay buffer to learn from")
-        kind, shape, drawn = self._kind(), (size, *(self.action_space.shape or ())), []
+        acted, drawn = self.action_space.shape or (), []
+        like: dict[str, Any] = {"dtype": self._kind(), "device": self.device}
         for update in range(self._n_updates + 1, self._n_updates + count + 1):
             data = self.replay_buffer.sample(size, env=self._vec_normalize_env)
-            discounts = torch.full((size,), self.gamma, dtype=kind) if data.discounts is None else data.discounts
-            next_noise = torch.empty(shape, dtype=kind).normal_()
-            noise = torch.empty(shape, dtype=kind).normal_() if update % self.policy_delay == 0 else next_noise
+            discounts = torch.full((size,), self.gamma, **like) if data.discounts is None else data.discounts
+            next_noise = torch.empty((size, *acted), **like).normal_()
+            learns = update % self.policy_delay == 0
+            noise = torch.empty((size, *acted), **like).normal_() if learns else next_noise
             columns = [one.view(-1) for one in (data.rewards, data.dones, discounts)]
             drawn.append([data.observations, data.actions, data.next_observations, *columns, next_noise, noise])
-        return Batches(*(torch.stack(parts).to(kind).numpy() for parts in zip(*drawn, strict=True)))
+        return Batches(*(torch.stack(parts).to(self._kind()).cpu().numpy() for parts in zip(*drawn, strict=True)))
 
     def _learn(self, batches: Batches) -> Losses:
         data = self._checked(batches)
         size = data[0].shape[1]
         if self._learner is None or self._learner.batch != size:
-            self._learner = Processor(self, size, self.weight_norm)
+            self._learner = self._engines[self.device.type](self, size, self.weight_norm)
         losses = self._learner.run(data, self._n_updates)
         self._n_updates += len(losses)
         known = [column[~np.isnan(column)] for column in losses.T]

@@ -21,6 +21,32 @@ def layers_of(modules: Iterable[torch.nn.Module], heads: Sequence[torch.nn.Linea
     return list(zip(norms, [*linear, list(heads)] if heads else linear, strict=True))
 
 
+def bind(optimizer: torch.optim.Optimizer, views: Iterable[View]) -> bool:
+    """Put views where torch has tensors of its own, with the same numbers; whether there was any."""
+    changed = False
+    with torch.no_grad():
+        for owner, name, view in views:
+            now = _now(optimizer, owner, name)
+            if now is not None and now.data_ptr() == view.data_ptr():
+                continue
+            changed = True
+            view.zero_() if now is None else view.copy_(now)
+            if name in _STATE:
+                optimizer.state[owner][name] = view
+            else:
+                setattr(owner, name, view)
+    return changed
+
+
+def _now(optimizer: torch.optim.Optimizer, owner: Any, name: str) -> torch.Tensor | None:  # noqa: ANN401
+    """The tensor that torch works on; none for an optimizer that has made no step."""
+    if name in _STATE:
+        state: torch.Tensor | None = optimizer.state[owner].get(name)
+        return state
+    tensor: torch.Tensor = owner if name == "data" else getattr(owner, name)
+    return tensor
+
+
 class Bound:
     """A `Net` and the modules and the optimizer that look at its arrays.
 
@@ -64,27 +90,7 @@ class Bound:
 
     def bind(self) -> None:
         """Put views of our arrays where torch has tensors of its own, with the same numbers."""
-        with torch.no_grad():
-            for owner, name, view in self.views:
-                now = self._now(owner, name)
-                if now is None:
-                    view.zero_()
-                elif now.data_ptr() == view.data_ptr():
-                    continue
-                else:
-                    view.copy_(now)
-                if name in _STATE:
-                    self.optimizer.state[owner][name] = view
-                else:
-                    setattr(owner, name, view)
-
-    def _now(self, owner: Any, name: str) -> torch.Tensor | None:  # noqa: ANN401
-        """The tensor that torch works on; none for an optimizer that has made no step."""
-        if name in _STATE:
-            state: torch.Tensor | None = self.optimizer.state[owner].get(name)
-            return state
-        tensor: torch.Tensor = owner if name == "data" else getattr(owner, name)
-        return tensor
+        bind(self.optimizer, self.views)
 
     def keep_norms(self) -> None:
         """From now on keep the Frobenius norm of each weight that a batch renormalisation follows."""

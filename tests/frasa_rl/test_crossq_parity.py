@@ -1,5 +1,7 @@
 """Our CrossQ against sb3-contrib's: the same batches and noise, then the same weights, statistics and moments."""
 
+from typing import ClassVar
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ import torch
 from sb3_contrib import CrossQ
 
 from frasa_rl.crossq import FastCrossQ
+from frasa_rl.crossq_gpu import Device
 
 SMALL = {"seen": 37, "acted": 3, "pi": (40, 33), "qf": (48, 33, 24), "batch": 21}
 
@@ -38,6 +41,13 @@ def apart(one, other, only=""):
     return max(float((one[name] - other[name]).abs().max()) for name in one if only in name)
 
 
+class OnTorch(FastCrossQ):
+    """What runs on a GPU, on a processor."""
+
+    _engines: ClassVar = {"cpu": Device}
+
+
+@pytest.mark.parametrize("kind", [FastCrossQ, OnTorch])
 @pytest.mark.parametrize(
     "settings",
     [
@@ -51,12 +61,12 @@ def apart(one, other, only=""):
     ],
     ids=["as published", "delay 1", "warm, n-step", "fixed entropy", "three critics", "other norm", "other Adam"],
 )
-def test_the_same_in_double_precision(crossq_model, settings):
+def test_the_same_in_double_precision(crossq_model, settings, kind):
     """In double precision nothing differs by more than rounding does: before, at and after the renorm's warm-up."""
     settings = dict(settings)
     updates, batch, calls = settings.pop("updates"), settings.pop("batch"), settings.pop("calls", 1)
     theirs = trained(crossq_model(CrossQ, double=True, **settings), updates, batch, calls)
-    model = crossq_model(FastCrossQ, double=True, **settings)
+    model = crossq_model(kind, double=True, **settings)
     assert model.fast
     assert apart(trained(model, updates, batch, calls), theirs) < 1e-9
 
