@@ -1,15 +1,14 @@
-"""Learners: what the training loop asks of one, and CrossQ and SAC of stable-baselines3 as such."""
+"""Learners: what the training loop asks of one, our CrossQ, and SAC of stable-baselines3 to compare with."""
 
 import io
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol, cast, runtime_checkable
+from typing import Any, Protocol, cast
 
 import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
-from sb3_contrib import CrossQ
 from sb3_contrib.common.torch_layers import BatchRenorm1d
 from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import ReplayBuffer
@@ -18,6 +17,7 @@ from stable_baselines3.common.type_aliases import ReplayBufferSamples
 
 from frasa_rl.actor import ActorLayers, Layer
 from frasa_rl.batches import Batches
+from frasa_rl.crossq import FastCrossQ
 from frasa_rl.observation import Observation
 from frasa_rl.policy import Array
 from frasa_rl.settings import Settings
@@ -58,18 +58,6 @@ class Learner(Protocol):
         """The other way round."""
 
 
-@runtime_checkable
-class TakesBatches(Protocol):
-    """An SB3 algorithm that can take many batches at once, where it is `fast`."""
-
-    @property
-    def fast(self) -> bool:
-        """Whether it can as it is now."""
-
-    def update(self, batches: Batches) -> Any:  # noqa: ANN401 - its means of `critic`, `actor`, `entropy`
-        """One gradient update on each batch."""
-
-
 class _Spaces(gymnasium.Env[Observation, Array]):
     """What SB3 wants to know of an environment; it is never stepped."""
 
@@ -94,9 +82,9 @@ class _Given:
 
 
 class Sb3Learner:
-    """CrossQ or SAC of SB3, their update as it stands; or one of our own that takes all batches at once."""
+    """CrossQ, which takes all batches at once where it can; or SAC of SB3, its update as it stands."""
 
-    def __init__(self, model: CrossQ | SAC) -> None:
+    def __init__(self, model: FastCrossQ | SAC) -> None:
         self.model = model
         self.log_to(Logger(None, []))
 
@@ -112,7 +100,7 @@ class Sb3Learner:
 
     def update(self, batches: Batches) -> None:
         """One gradient update on each batch."""
-        if isinstance(self.model, TakesBatches) and self.model.fast:
+        if isinstance(self.model, FastCrossQ) and self.model.fast:
             losses = self.model.update(batches)
             told = {"critic_loss": losses.critic, "actor_loss": losses.actor, "ent_coef": losses.entropy}
             for name, value in told.items():
@@ -199,7 +187,7 @@ def build(settings: Settings, bound: Observation, joints: int, device: str) -> L
     """
     if device == "cuda" and not torch.cuda.is_available():
         raise UsageError("no CUDA device that torch can use: give --device cpu")
-    if settings.weight_norm:
+    if settings.weight_norm and settings.algorithm != "crossq":
         raise UsageError(f"{settings.algorithm} does not have weight_norm")
     torch.set_num_threads(settings.threads)
     nets: dict[str, Any] = {"net_arch": {"pi": list(settings.actor), "qf": list(settings.critic)}}
@@ -216,9 +204,10 @@ def build(settings: Settings, bound: Observation, joints: int, device: str) -> L
     env = _Spaces(bound, joints)
     if settings.algorithm == "sac":
         return Sb3Learner(SAC("MlpPolicy", env, policy_kwargs=nets, **common))
-    # CrossQ's own first moment, and the optimizer's steps in one call: a fifth more updates a second.
+    # CrossQ's own first moment; fused where torch itself has to learn (what the compiled updates do not know).
     nets |= {"renorm_warmup_steps": settings.renorm_warmup, "optimizer_kwargs": {"betas": (0.5, 0.999), "fused": True}}
-    return Sb3Learner(CrossQ("MlpPolicy", env, policy_kwargs=nets, policy_delay=settings.policy_delay, **common))
+    common |= {"policy_delay": settings.policy_delay, "weight_norm": settings.weight_norm}
+    return Sb3Learner(FastCrossQ("MlpPolicy", env, policy_kwargs=nets, **common))
 
 
 def _folded(module: torch.nn.Linear, gain: np.ndarray[Any, Any], offset: np.ndarray[Any, Any]) -> Layer:

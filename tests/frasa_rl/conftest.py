@@ -97,3 +97,55 @@ def start_by_hand():
         return Start(model, state_of(model, data), data.ctrl.copy(), np.array(data.sensordata), ages, {})
 
     return make
+
+
+@pytest.fixture
+def crossq_model(monkeypatch):
+    """Makes a CrossQ of a class, with random transitions in its buffer; `double`: all of it in double precision."""
+    gym, torch = pytest.importorskip("gymnasium"), pytest.importorskip("torch")
+    pytest.importorskip("sb3_contrib")
+    from stable_baselines3.common.logger import Logger
+
+    class Nothing(gym.Env):
+        def __init__(self, seen, acted):
+            self.observation_space = gym.spaces.Box(-9, 9, (seen,), np.float32)
+            self.action_space = gym.spaces.Box(-1, 1, (acted,), np.float32)
+
+        def reset(self, *, seed=None, options=None):
+            return np.zeros(self.observation_space.shape, np.float32), {}
+
+        def step(self, action):
+            return self.reset()[0], 0.0, False, False, {}
+
+    def make(kind, seen=22, acted=5, double=False, pi=(64, 64), qf=(64, 64), warmup=100, policy=None, **more):
+        torch.set_num_threads(1)
+        extra = {"net_arch": {"pi": list(pi), "qf": list(qf)}, "renorm_warmup_steps": warmup, **(policy or {})}
+        settings = {"buffer_size": 3000, "seed": 3, "device": "cpu", "learning_rate": 1e-3, **more}
+        model = kind("MlpPolicy", Nothing(seen, acted), policy_kwargs=extra, **settings)
+        model.set_logger(Logger(None, []))
+        fill(model.replay_buffer)
+        return in_double(model) if double else model
+
+    def fill(buffer):
+        rng = np.random.default_rng(1)
+        shape = buffer.observations.shape
+        buffer.observations[:] = rng.normal(0.5, 1.0, shape) * rng.uniform(0.2, 2.0, shape[-1])
+        buffer.next_observations[:] = buffer.observations + rng.normal(0.0, 0.3, shape)
+        buffer.actions[:] = rng.uniform(-1.0, 1.0, buffer.actions.shape)
+        buffer.rewards[:] = rng.normal(0.0, 1.0, buffer.rewards.shape)
+        buffer.dones[:] = rng.random(buffer.dones.shape) < 0.05
+        buffer.timeouts[:] = (rng.random(buffer.dones.shape) < 0.3) * buffer.dones
+        buffer.pos = buffer.buffer_size - 1
+
+    def in_double(model):
+        monkeypatch.setattr("stable_baselines3.common.policies.preprocess_obs", lambda x, *_, **__: x)
+        model.policy.double()
+        if model.log_ent_coef is not None:
+            model.log_ent_coef = model.log_ent_coef.detach().double().requires_grad_(True)
+            model.ent_coef_optimizer = torch.optim.Adam([model.log_ent_coef], lr=1e-3)
+        else:
+            model.ent_coef_tensor = model.ent_coef_tensor.double()
+        model.replay_buffer.to_torch = lambda x, copy=True: torch.as_tensor(x.astype(np.float64))
+        return model
+
+    return make
