@@ -101,7 +101,7 @@ def _new(args: argparse.Namespace) -> Sweep:
     if args.seeds is None:
         raise UsageError("give --seeds, the number of agents")
     out = args.out or Path("runs") / f"sweep-{datetime.now():%Y%m%d-%H%M%S}"
-    if (out / SWEEP_FILE).exists():
+    if (out / SWEEP_FILE).exists() and any(out.glob("seed-*")):  # one that a cluster refused has begun nothing
         raise UsageError(f"{out} already holds a sweep: choose another --out, or --resume {out}")
     first = args.first_seed or 0
     plan = plan_from_arguments(args, out)

@@ -231,3 +231,14 @@ def test_a_sweep_is_not_overwritten(resumed, model, capsys):
     assert "already holds a sweep" in capsys.readouterr().err
     assert main(["sweep", "--resume", str(out), "--seeds", "1"]) == 2
     assert "agents already" in capsys.readouterr().err
+
+
+def test_nobody_at_the_address_leaves_nothing_in_the_way(model, tmp_path, monkeypatch, capsys):
+    """One line, and the same command works when the cluster is there."""
+    distributed = pytest.importorskip("distributed", reason="no Dask here: pip install 'frasa[cluster]'")
+    client = distributed.Client
+    monkeypatch.setattr(distributed, "Client", lambda address, timeout: client(address, timeout="0.2s"))
+    for _ in range(2):
+        words = begin(tmp_path / "s", model, "--seeds", "2", "--steps", "10", "--cluster", "tcp://127.0.0.1:1")
+        assert main(words) == 2
+        assert "no Dask scheduler answers there" in capsys.readouterr().err
