@@ -1,6 +1,7 @@
 """What a run is: its model, task, settings and ends, and the run.yaml that says all of it."""
 
 import platform
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -20,7 +21,7 @@ from frasa_rl.settings import Settings
 from frasa_rl.stopping import Ends
 from frasa_rl.task_file import task_from
 from frasa_rl.task_text import task_data
-from frasa_sysid.calibration import InputError, calibration_id, load_model, plain, sha256_of
+from frasa_sysid.calibration import InputError, UsageError, calibration_id, load_model, plain, sha256_of
 
 SCHEMA = "frasa.run/2"
 _PACKAGES = ("mujoco", "numpy", "numba", "gymnasium", "stable-baselines3", "sb3-contrib", "torch")
@@ -63,6 +64,13 @@ class Plan:
     def ends(self) -> Ends:
         """When the run is over."""
         return Ends(self.steps, self.minutes, self.until_success)
+
+    def check_ends(self) -> None:
+        """Raise UsageError when there is no end, or one that never comes."""
+        if self.steps is None and self.minutes is None and self.until_success is None:
+            raise UsageError("a run needs an end: give --minutes, --steps or --until-success")
+        if self.ends.success is not None and not self.settings.evaluate_steps:
+            raise UsageError("--until-success needs evaluations: give --evaluate-steps more than 0")
 
     def until(self, steps: int | None, minutes: float | None, until_success: float | None = None) -> "Plan":
         """The same plan with other ends, where one is given."""
@@ -119,7 +127,20 @@ def plan_of(run: Path) -> Plan:
         PolicyError: no run.yaml there.
         InputError: one that this version cannot read.
     """
-    said = read_run(run / RUN_FILE)
+    return plan_from(read_run(run / RUN_FILE), run, str(run / RUN_FILE))
+
+
+def plan_from(said: Mapping[str, Any], out: Path, where: str) -> Plan:
+    """The plan that a description speaks of.
+
+    Args:
+        said: what `describe` returned, or was read from where it was written.
+        out: the run folder.
+        where: it was read, for errors.
+
+    Raises:
+        InputError: one that this version cannot read.
+    """
     try:
         if said["schema"] != SCHEMA:
             raise ValueError(f"schema '{said['schema']}', expected '{SCHEMA}'")
@@ -128,16 +149,16 @@ def plan_of(run: Path) -> Plan:
         }
         return Plan(
             model=Path(said["model"]),
-            out=run,
+            out=out,
             settings=Settings(**settings),
             steps=said["steps"],
             minutes=said["minutes"],
             until_success=said["until_success"],
             device=said["device"],
-            task=task_from(said["task"], str(run / RUN_FILE)),
+            task=task_from(said["task"], where),
         )
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{run / RUN_FILE}: missing or wrong field: {error!r}") from error
+        raise InputError(f"{where}: missing or wrong field: {error!r}") from error
 
 
 def model_hash(model: mujoco.MjModel) -> str:

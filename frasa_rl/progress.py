@@ -1,6 +1,5 @@
 """What a run shows and keeps of how it goes: a line on standard error, progress.csv, TensorBoard."""
 
-import sys
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -9,15 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from frasa_rl.bars import Line, clock
 from frasa_rl.collector import Round
 from frasa_rl.snapshots import Arrays
 from frasa_rl.stopping import Ends
 from frasa_rl.tables import PROGRESS
-from frasa_sysid.calibration import say
 
 _EPISODES = 100  # that means are of
 _ROW_STEPS, _ROW_SHARE = 1_000, 0.005  # a long run has longer rows: the table is written anew with each
-_LINE_S = {True: 1.0, False: 30.0}  # a terminal's line is rewritten, a log's lines add up
 _RECENT_S = 20.0  # that the rates in the line are of
 
 Record = Callable[[str, float], None]
@@ -44,7 +42,7 @@ class Progress:
         self._episodes: deque[tuple[float, float, float]] = deque(maxlen=_EPISODES)  # return, length, success
         self._posture: list[float] = []
         self._diverged = self._steps = self._updates = self._row_at = 0
-        self._line_at = 0.0
+        self._line = Line()
         self.start(0.0)
 
     def start(self, elapsed_s: float) -> None:
@@ -76,8 +74,7 @@ class Progress:
             self._recent.popleft()
         if steps - self._row_at >= max(_ROW_STEPS, _ROW_SHARE * steps):
             self.add_row()
-        if time.monotonic() - self._line_at > _LINE_S[sys.stderr.isatty()]:
-            self._line_at = time.monotonic()
+        if self._line.due:
             self.show()
 
     def add_row(self) -> None:
@@ -117,16 +114,13 @@ class Progress:
         rates = (self._steps - steps) / spent, (self._updates - updates) / spent
         left = self._ends.left_s(self._steps, now_s, rates[0])
         line = (
-            f"{self._steps:>9,} steps  {_clock(now_s)}"
+            f"{self._steps:>9,} steps  {clock(now_s)}"
             f"  return {_shown(_mean([one[0] for one in self._episodes]), '6.1f')}"
             f"  standing {_shown(100.0 * self.success, '3.0f')} %  {self.remark}"
             f"{'  ' if self.remark else ''}{rates[0]:5.0f} steps/s  {rates[1]:4.0f} updates/s"
-            f"  left {_clock(left) if np.isfinite(left) else '-'}"
+            f"  left {clock(left) if np.isfinite(left) else '-'}"
         )
-        if sys.stderr.isatty():
-            print(f"\r{line}\033[K", end="", file=sys.stderr, flush=True)
-        else:
-            say(line)
+        self._line.show(line)
 
     def snapshot(self) -> Arrays:
         """For a checkpoint."""
@@ -155,8 +149,3 @@ def _shown(value: float, form: str) -> str:
 
 def _mean(values: list[float]) -> float:
     return float(np.mean(values)) if values else float("nan")
-
-
-def _clock(seconds: float) -> str:
-    whole = int(seconds)
-    return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"

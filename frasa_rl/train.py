@@ -60,10 +60,7 @@ def train(plan: Plan, *, resume: bool = False, curriculum: Curriculum | None = N
         UsageError: the folder already holds a run, or there is no end.
         CheckpointError: there is nothing to resume from.
     """
-    if plan.steps is None and plan.minutes is None and plan.until_success is None:
-        raise UsageError("a run needs an end: give --minutes, --steps or --until-success")
-    if plan.until_success is not None and not plan.settings.evaluate_steps:
-        raise UsageError("--until-success needs evaluations: give --evaluate-steps more than 0")
+    plan.check_ends()
     description = describe(plan, type(curriculum or Curriculum()).__name__)
     if resume:
         _check_same(description, read_run(plan.out / RUN_FILE))

@@ -4,13 +4,13 @@ Results come back in the order of the tasks and depend on nothing but the task, 
 the same for any number of workers.
 """
 
-import gc
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import joblib
 
+from frasa_sysid.calibration import dask_client
 from frasa_sysid.errors import UsageError
 
 Task = TypeVar("Task")
@@ -57,24 +57,5 @@ def spread_over(jobs: int, cluster: str | None) -> Iterator[Spread]:
     if cluster is None:
         yield Spread(jobs)
         return
-    client = _client(cluster)
-    try:
+    with dask_client(cluster):
         yield Spread(-1, "dask")
-    finally:
-        client.close()
-
-
-def _client(address: str) -> Any:  # noqa: ANN401 (the package is optional)
-    try:
-        from distributed import Client
-    except ImportError:
-        raise UsageError("--cluster needs Dask: pip install 'frasa[cluster]'") from None
-    try:
-        connect: Any = Client  # it carries no types
-        return connect(address, timeout="10s")
-    except (OSError, ValueError) as error:
-        why = str(error)
-    # The client that found nobody closes itself when it is collected. Should that happen while another
-    # client starts, it would wait for a lock that its own thread holds: so it is collected here.
-    gc.collect()
-    raise UsageError(f"--cluster {address}: no Dask scheduler answers there ({why})")

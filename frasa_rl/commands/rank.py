@@ -18,12 +18,23 @@ SCHEMA = "frasa.rank/1"
 def add_command(commands: Any) -> None:  # noqa: ANN401 - argparse keeps this type private
     """Add `rank` to the command line."""
     parser = commands.add_parser("rank", help="which of several policies to take, with the numbers behind it")
+    _add_arguments(parser)
+    add_json_flag(parser)
+    parser.set_defaults(run=_run)
+
+
+def rank_words(words: list[str]) -> dict[str, Any]:
+    """What `frasa-rl rank` with these words comes to; its table is told."""
+    parser = argparse.ArgumentParser(prog="frasa-rl rank")
+    _add_arguments(parser)
+    return _run(parser.parse_args(words))
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("controllers", nargs="+", metavar="CONTROLLER", help=CONTROLLER_HELP)
     add_conditions(parser)
     parser.add_argument("--trials", type=int, default=10, help="stand-up trials from each side (default 10)")
     parser.add_argument("--push-trials", type=int, default=5, help="trials of each push (default 5)")
-    add_json_flag(parser)
-    parser.set_defaults(run=_run)
 
 
 def _part(tell: Callable[[float], None], begin: float) -> Callable[[float], None]:

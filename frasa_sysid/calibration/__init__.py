@@ -17,6 +17,7 @@ from frasa_sysid.calibration.apply import (
     servo_classes,
     trunk_of,
 )
+from frasa_sysid.calibration.cluster import dask_client
 from frasa_sysid.calibration.command_line import add_json_flag, plain, run_command, say
 from frasa_sysid.calibration.errors import (
     CalibrationError,
@@ -70,6 +71,7 @@ __all__ = [
     "assign",
     "calibration_id",
     "compile_model",
+    "dask_client",
     "delay_room",
     "delayed_sensors",
     "dofs_of",
