@@ -62,7 +62,7 @@ def _judge_pairs(actor: Net, critic: Net, k: int, data: Data, rules: Rules, room
     center_input(actor, rows, batch, center)
     forward(actor, 0, rows, batch, False, center, rules.actor_norm)
     draw(actor, rows, data[_NEXT_NOISE][k], room)
-    rows, both, center = padded_rows(2 * batch), 2 * batch, line(critic.norm[0], BATCH_MEAN, 0)
+    rows, both, center = padded_rows(2 * batch), 2 * batch, line(critic.norm, BATCH_MEAN, 0)
     put(critic, rows, 0, 0, observations)
     put(critic, rows, 0, seen, data[_ACTIONS][k])
     put(critic, rows, batch, 0, following)
@@ -136,7 +136,7 @@ def _learn_actor(
     """Gradients of the policy; returns its loss and the mean log probability of its actions."""
     observations = data[_OBSERVATIONS][k]
     batch, seen = observations.shape
-    rows, center = padded_rows(batch), line(actor.norm[0], BATCH_MEAN, 0)
+    rows, center = padded_rows(batch), line(actor.norm, BATCH_MEAN, 0)
     put(actor, rows, 0, 0, observations)
     measure_input(actor, rows, batch)
     center_input(actor, rows, batch, center)

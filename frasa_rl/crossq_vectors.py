@@ -21,11 +21,17 @@ _arrays: Any = arrayobj
 _types: Any = types
 _njit: Any = njit
 _OPTIONS = {"nogil": True, "error_model": "numpy", "fastmath": {"reassoc", "contract", "nsz"}}
+_INNER = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 def compiled(function: _Written) -> _Written:
     """Compile for other compiled code; `entry` is what Python calls."""
-    return cast(_Written, _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)(function))
+    return cast(_Written, _njit(**_INNER)(function))
+
+
+def as_written(function: _Written) -> _Written:
+    """Compile for other compiled code, sums in the order in which they stand."""
+    return cast(_Written, _njit(**{**_INNER, "fastmath": {"nsz"}})(function))
 
 
 def inlined(function: _Written) -> _Written:
