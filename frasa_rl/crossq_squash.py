@@ -16,7 +16,7 @@ _LOG_STD_MIN, _LOG_STD_MAX = -20.0, 2.0  # of sb3-contrib's actor
 _EPSILON = 1e-6  # of SB3's squashed Gaussian
 _LOG_ROOT_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 _LN2, _LOG2_E = math.log(2.0), math.log2(math.e)
-MEAN, LOG_STD, NOISE, SPREAD, LEFT = range(5)  # rows of the room's draws
+MEAN, LOG_STD, NOISE, SPREAD, LEFT, SAFE = range(6)  # rows of the room's draws
 
 
 class Room(NamedTuple):
@@ -25,7 +25,8 @@ class Room(NamedTuple):
     Attributes:
         actions: the policy's, shape (B, n).
         log_probability: theirs, shape (B,).
-        draws: mean, log deviation, noise, what the noise added to the mean, and 1 - action^2, shape (5, B n).
+        draws: mean, log deviation, noise, what the noise added to the mean, 1 - action^2 without
+            and with epsilon, shape (6, B n).
         target: of the critics, shape (B,).
         scratch: of `backward`, shape (ROOMS, ...).
     """
@@ -43,7 +44,7 @@ def room(batch: int, actions: int, widest: int, dtype: npt.DTypeLike) -> Room:
     return Room(
         actions=aligned((batch, actions), dtype),
         log_probability=aligned((batch,), dtype),
-        draws=aligned((5, batch * actions), float),
+        draws=aligned((6, batch * actions), float),
         target=aligned((batch,), dtype),
         scratch=aligned((ROOMS, PANEL * most), dtype),
     )
@@ -64,24 +65,33 @@ def _spread(log_std: Array, noise: Array, spread: Array) -> None:
 
 
 @as_written
-def _squash(mean: Array, spread: Array, left: Array) -> None:
-    """The hyperbolic tangent, in place of the mean, and 1 less its square, without loss where that is small."""
+def _squash(mean: Array, spread: Array, actions: Array) -> None:
+    """The hyperbolic tangent."""
     not_inlined()
     for i in range(len(mean)):
         x = mean[i] + spread[i]
         e = fast_exp2(-2.0 * _LOG2_E * abs(x))
-        share = 1.0 / (1.0 + e)
-        left[i] = 4.0 * e * share * share
-        mean[i] = math.copysign((1.0 - e) * share, x)
+        actions[i] = math.copysign((1.0 - e) / (1.0 + e), x)
 
 
 @as_written
-def _density(log_std: Array, left: Array, noise: Array) -> None:
+def _left(actions: Array, left: Array, safe: Array) -> None:
+    """1 - action^2, and with epsilon added, rounded where SB3 rounds: near the ends of actions that is much of it."""
+    not_inlined()
+    kind = actions.dtype.type
+    one, epsilon = kind(1), kind(_EPSILON)
+    for i in range(len(actions)):
+        rest = one - actions[i] * actions[i]
+        left[i], safe[i] = rest, rest + epsilon
+
+
+@as_written
+def _density(log_std: Array, safe: Array, noise: Array) -> None:
     """The log probability, in place of the noise."""
     not_inlined()
     for i in range(len(noise)):
         surely = min(max(log_std[i], _LOG_STD_MIN), _LOG_STD_MAX) + _LOG_ROOT_TWO_PI
-        noise[i] = -0.5 * noise[i] * noise[i] - surely - _LN2 * fast_log2(left[i] + _EPSILON)
+        noise[i] = -0.5 * noise[i] * noise[i] - surely - _LN2 * fast_log2(safe[i])
 
 
 @compiled
@@ -94,14 +104,14 @@ def draw(actor: Net, rows: int, noise: Array, room: Room) -> None:
         for j in range(count):
             mean[n * count + j], log_std[n * count + j] = y[_place(rows, n, j)], y[_place(rows, n, count + j)]
             drawn[n * count + j] = noise[n, j]
-    spread, left = line(room.draws, SPREAD, 0), line(room.draws, LEFT, 0)
+    spread, safe, actions = line(room.draws, SPREAD, 0), line(room.draws, SAFE, 0), room.actions.ravel()
     _spread(log_std, drawn, spread)
-    _squash(mean, spread, left)
-    _density(log_std, left, drawn)
+    _squash(mean, spread, actions)
+    _left(actions, line(room.draws, LEFT, 0), safe)
+    _density(log_std, safe, drawn)
     for n in range(batch):
         total = 0.0
         for j in range(count):
-            room.actions[n, j] = mean[n * count + j]
             total += drawn[n * count + j]
         room.log_probability[n] = total
 
@@ -120,9 +130,8 @@ def actor_slopes(actor: Net, critic: Net, seen: int, alpha: float, room: Room) -
     for n in range(batch):
         for j in range(count):
             i = n * count + j
-            left, log_std = room.draws[LEFT, i], room.draws[LOG_STD, i]
-            slope = float(x[_place(rows, n, seen + j)]) + share * 2.0 * room.draws[MEAN, i] / (left + _EPSILON)
-            slope *= left
+            log_std, of_log = room.draws[LOG_STD, i], share * 2.0 * room.actions[n, j] / room.draws[SAFE, i]
+            slope = (float(x[_place(rows, n, seen + j)]) + of_log) * room.draws[LEFT, i]
             y[_place(rows, n, j)] = slope
             free = 1.0 if _LOG_STD_MIN <= log_std <= _LOG_STD_MAX else 0.0
             y[_place(rows, n, count + j)] = (slope * room.draws[SPREAD, i] - share) * free
