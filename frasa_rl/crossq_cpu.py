@@ -2,6 +2,7 @@
 
 CrossQ (Bhatt et al. 2024) in the order of sb3-contrib's `train`: both critics on (s, a) and (s', a') in one batch, so
 that batch statistics are of both; no target networks; every few updates the entropy coefficient and the policy.
+The same batches give the same bits, in any thread, on processors with registers of one width.
 """
 
 import hashlib
@@ -15,11 +16,12 @@ import numpy.typing as npt
 
 from frasa_rl.crossq_adam import adam, learn
 from frasa_rl.crossq_back import backward
-from frasa_rl.crossq_input import center_input, measure_input, padded_rows, put
+from frasa_rl.crossq_input import center_input, measure_input, put
 from frasa_rl.crossq_layers import forward, refold
 from frasa_rl.crossq_net import BATCH_MEAN, Net
 from frasa_rl.crossq_passes import clear
 from frasa_rl.crossq_squash import Room, actor_slopes, draw
+from frasa_rl.crossq_tiles import padded_rows
 from frasa_rl.crossq_vectors import Array, entry, inlined, line
 
 CRITIC_LOSS, ACTOR_LOSS, ENTROPY, ENTROPY_LOSS = range(4)  # columns of what `updates` writes

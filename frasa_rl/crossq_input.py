@@ -3,14 +3,7 @@
 from frasa_rl.crossq_net import BATCH_MEAN, BATCH_VAR, IN_PANELS, NORMS, Net
 from frasa_rl.crossq_passes import moved, statistics
 from frasa_rl.crossq_rows import copy_columns
-from frasa_rl.crossq_tiles import ROWS
 from frasa_rl.crossq_vectors import PANEL, Array, compiled, line, not_inlined
-
-
-@compiled
-def padded_rows(size: int) -> int:
-    """The next multiple of the rows of a tile."""
-    return (size + ROWS - 1) // ROWS * ROWS
 
 
 @compiled

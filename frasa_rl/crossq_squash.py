@@ -8,7 +8,7 @@ import numpy.typing as npt
 from frasa_rl.crossq_back import ROOMS
 from frasa_rl.crossq_net import Net, aligned, padded
 from frasa_rl.crossq_passes import clear
-from frasa_rl.crossq_tiles import ROWS
+from frasa_rl.crossq_tiles import ROWS, padded_rows
 from frasa_rl.crossq_vectors import PANEL, Array, as_written, compiled, line, not_inlined
 from frasa_sysid.calibration.fast_math import fast_exp2, fast_log2
 
@@ -124,7 +124,7 @@ def actor_slopes(actor: Net, critic: Net, seen: int, alpha: float, room: Room) -
     """
     not_inlined()
     batch, count = room.actions.shape
-    rows = (batch + ROWS - 1) // ROWS * ROWS
+    rows = padded_rows(batch)
     y, x, share = line(actor.result, 0, 0), line(critic.active, 0, 0), alpha / batch
     clear(y, 0, y.size)
     for n in range(batch):

@@ -78,7 +78,7 @@ def test_single_precision_differs_as_sb3_contrib_does_from_itself(crossq_model):
     fused = trained(crossq_model(CrossQ, policy={"optimizer_kwargs": {**betas, "fused": True}}), 200, 128)
     ours = trained(crossq_model(FastCrossQ, policy={"optimizer_kwargs": betas}), 200, 128)
     for part in ("weight", "ra_mean", "exp_avg_sq"):
-        assert apart(ours, theirs, part) < 3.0 * apart(fused, theirs, part) + 1e-5
+        assert apart(ours, theirs, part) < 10.0 * apart(fused, theirs, part) + 1e-4
 
 
 def test_single_precision_of_a_first_update(crossq_model):
