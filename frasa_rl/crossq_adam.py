@@ -44,7 +44,7 @@ def learn(net: Net, step: float, rules: npt.NDArray[np.float64]) -> None:
     for c in range(len(net.radius)):
         for layer in range(len(net.table)):
             if net.radius[c, layer] > 0.0:
-                row = net.table[layer]
+                row = line(net.table, layer, 0)
                 _project(line(net.values, c, row[WEIGHT]), row[IN] * row[OUT], net.radius[c, layer])
 
 

@@ -8,6 +8,7 @@ from frasa_rl.crossq_net import (
     IN_PANELS,
     INVERSE,
     MIDDLE,
+    NORMS,
     OUT,
     OUT_PANELS,
     PACKED,
@@ -42,7 +43,7 @@ def backward(net: Net, c: int, rows: int, real: int, learning: bool, to_input: b
     """
     not_inlined()
     count = len(net.table)
-    _sum_rows(line(net.result, c, 0), rows, real, net.table[count - 1, OUT], room[BIAS_SLOPE])
+    _sum_rows(line(net.result, c, 0), rows, real, net.table[count - 1, OUT], line(room, BIAS_SLOPE, 0))
     for layer in range(count - 1, -1, -1):
         dy = line(net.result, c, 0) if layer == count - 1 else line(net.active, c, net.table[layer + 1, ACTIVE])
         x = line(net.active, c if layer > 0 else 0, net.table[layer, ACTIVE])
@@ -51,7 +52,7 @@ def backward(net: Net, c: int, rows: int, real: int, learning: bool, to_input: b
         if layer > 0:
             _pass_back(net, c, layer, rows, real, learning, dy, x, room)
         elif to_input:
-            _to_input(net, c, rows, dy, x, room[STEP])
+            _to_input(net, c, rows, dy, x, line(room, STEP, 0))
 
 
 @compiled
@@ -83,8 +84,8 @@ _unnormalised = over_rows(_unnormal, panels=3, far=2, factors=1, constants=4, to
 @inlined
 def _parameter_slopes(net: Net, c: int, layer: int, rows: int, real: int, dy: Array, x: Array, room: Array) -> None:
     """Gradients of a layer's weight and bias and of the normalisation before it."""
-    row, norm = net.table[layer], net.norm[c]
-    inputs, outputs, raw, bias_slope = row[IN], row[OUT], room[STEP], room[BIAS_SLOPE]
+    row, norm = line(net.table, layer, 0), NORMS * c
+    inputs, outputs, raw, bias_slope = row[IN], row[OUT], line(room, STEP, 0), line(room, BIAS_SLOPE, 0)
     to = line(net.slopes, c, row[BIAS])
     for o in range(outputs):
         to[o] = bias_slope[o]
@@ -99,8 +100,8 @@ def _parameter_slopes(net: Net, c: int, layer: int, rows: int, real: int, dy: Ar
             line(net.values, c, row[WEIGHT] + left),
             raw,
             bias_slope,
-            line(norm, MIDDLE, k),
-            line(norm, INVERSE, k),
+            line(net.norm, norm + MIDDLE, k),
+            line(net.norm, norm + INVERSE, k),
             line(net.values, c, row[SCALE] + left),
             line(net.values, c, row[SHIFT] + left),
             line(net.slopes, c, row[SCALE] + left),
@@ -126,20 +127,20 @@ _answered = over_rows(_answer, panels=9, constants=2)
 
 @inlined
 def _levels(net: Net, c: int, layer: int, real: int, room: Array) -> None:
-    row, norm, share = net.table[layer], net.norm[c], room[SHARES]
+    row, norm, share = line(net.table, layer, 0), NORMS * c, line(room, SHARES, 0)
     start = row[STATISTIC]
     for j in range(PANEL):
         share[j], share[PANEL + j] = 1.0 / real, 2.0 / (real - 1)
     arrays = (
-        room[LEVEL],
-        room[FACTOR],
-        line(norm, INVERSE, start),
+        line(room, LEVEL, 0),
+        line(room, FACTOR, 0),
+        line(net.norm, norm + INVERSE, start),
         line(net.values, c, row[SCALE]),
         line(net.slopes, c, row[SCALE]),
         line(net.slopes, c, row[SHIFT]),
-        line(norm, PULL, start),
-        line(norm, SHARE, start),
-        line(norm, BATCH_MEAN, start),
+        line(net.norm, norm + PULL, start),
+        line(net.norm, norm + SHARE, start),
+        line(net.norm, norm + BATCH_MEAN, start),
         share,
         line(room, SHARES, PANEL),
     )
@@ -155,21 +156,21 @@ def _pass_back(
     A normalised input's gradient g reaches the input as gain g + a + b x: a and b are how the batch's mean and variance
     answer, and need only sums of g and g x, which are the gradients of the normalisation's shift and scale.
     """
-    row, weight = net.table[layer], line(net.backward, c, net.table[layer, PACKED])
+    row, weight, step = line(net.table, layer, 0), line(net.backward, c, net.table[layer, PACKED]), line(room, STEP, 0)
     panels, wide = row[IN_PANELS], row[OUT_PANELS] * PANEL * PANEL
     if learning:
         _levels(net, c, layer, real, room)
     else:
-        clear(room[LEVEL], 0, panels * PANEL)
-        clear(room[FACTOR], 0, panels * PANEL)
+        clear(line(room, LEVEL, 0), 0, panels * PANEL)
+        clear(line(room, FACTOR, 0), 0, panels * PANEL)
     for panel in range(panels):
         here, left = x[panel * rows * PANEL :], panel * PANEL
         level, factor, summed = line(room, LEVEL, left), line(room, FACTOR, left), line(room, SUMMED, left)
         if row[OUT] == 1:
             masked_single(real, here, dy, weight[left:], level, factor, summed)
         else:
-            product(room[STEP], 0, dy, 0, rows, weight, panel * wide, row[OUT_PANELS])
-            masked(real, here, room[STEP], level, factor, summed)
+            product(step, 0, dy, 0, rows, weight, panel * wide, row[OUT_PANELS])
+            masked(real, here, step, level, factor, summed)
         clear(here, real * PANEL, rows * PANEL)
     for j in range(panels * PANEL):
         room[BIAS_SLOPE, j] = room[SUMMED, j]
@@ -178,10 +179,10 @@ def _pass_back(
 @inlined
 def _to_input(net: Net, c: int, rows: int, dy: Array, x: Array, step: Array) -> None:
     """The gradient of the input, in its place; of several networks their sum."""
-    row = net.table[0]
+    row, weight = line(net.table, 0, 0), line(net.backward, c, 0)
     for panel in range(row[IN_PANELS]):
         at = row[PACKED] + panel * row[OUT_PANELS] * PANEL * PANEL
-        product(step, 0, dy, 0, rows, net.backward[c], at, row[OUT_PANELS])
+        product(step, 0, dy, 0, rows, weight, at, row[OUT_PANELS])
         start = panel * rows * PANEL
         if c == 0:
             clear(x, start, start + rows * PANEL)

@@ -2,6 +2,7 @@
 
 CrossQ (Bhatt et al. 2024) in the order of sb3-contrib's `train`: both critics on (s, a) and (s', a') in one batch, so
 that batch statistics are of both; no target networks; every few updates the entropy coefficient and the policy.
+The same batches give the same bits, in any thread, on processors with registers of one width.
 """
 
 import hashlib
@@ -15,11 +16,12 @@ import numpy.typing as npt
 
 from frasa_rl.crossq_adam import adam, learn
 from frasa_rl.crossq_back import backward
-from frasa_rl.crossq_input import center_input, measure_input, padded_rows, put
+from frasa_rl.crossq_input import center_input, measure_input, put
 from frasa_rl.crossq_layers import forward, refold
 from frasa_rl.crossq_net import BATCH_MEAN, Net
 from frasa_rl.crossq_passes import clear
 from frasa_rl.crossq_squash import Room, actor_slopes, draw
+from frasa_rl.crossq_tiles import padded_rows
 from frasa_rl.crossq_vectors import Array, entry, inlined, line
 
 CRITIC_LOSS, ACTOR_LOSS, ENTROPY, ENTROPY_LOSS = range(4)  # columns of what `updates` writes
@@ -62,7 +64,7 @@ def _judge_pairs(actor: Net, critic: Net, k: int, data: Data, rules: Rules, room
     center_input(actor, rows, batch, center)
     forward(actor, 0, rows, batch, False, center, rules.actor_norm)
     draw(actor, rows, data[_NEXT_NOISE][k], room)
-    rows, both, center = padded_rows(2 * batch), 2 * batch, line(critic.norm[0], BATCH_MEAN, 0)
+    rows, both, center = padded_rows(2 * batch), 2 * batch, line(critic.norm, BATCH_MEAN, 0)
     put(critic, rows, 0, 0, observations)
     put(critic, rows, 0, seen, data[_ACTIONS][k])
     put(critic, rows, batch, 0, following)
@@ -136,7 +138,7 @@ def _learn_actor(
     """Gradients of the policy; returns its loss and the mean log probability of its actions."""
     observations = data[_OBSERVATIONS][k]
     batch, seen = observations.shape
-    rows, center = padded_rows(batch), line(actor.norm[0], BATCH_MEAN, 0)
+    rows, center = padded_rows(batch), line(actor.norm, BATCH_MEAN, 0)
     put(actor, rows, 0, 0, observations)
     measure_input(actor, rows, batch)
     center_input(actor, rows, batch, center)

@@ -1,16 +1,9 @@
 """What a network is given: matrices as they come, put side by side into its input panels."""
 
-from frasa_rl.crossq_net import BATCH_MEAN, BATCH_VAR, IN_PANELS, Net
+from frasa_rl.crossq_net import BATCH_MEAN, BATCH_VAR, IN_PANELS, NORMS, Net
 from frasa_rl.crossq_passes import moved, statistics
 from frasa_rl.crossq_rows import copy_columns
-from frasa_rl.crossq_tiles import ROWS
 from frasa_rl.crossq_vectors import PANEL, Array, compiled, line, not_inlined
-
-
-@compiled
-def padded_rows(size: int) -> int:
-    """The next multiple of the rows of a tile."""
-    return (size + ROWS - 1) // ROWS * ROWS
 
 
 @compiled
@@ -40,7 +33,7 @@ def measure_input(net: Net, rows: int, real: int) -> None:
     count, norm = net.table[0, IN_PANELS] * PANEL, net.norm
     for k in range(0, count, PANEL):
         x = line(net.active, 0, k * rows)
-        statistics(x, real, line(norm[0], BATCH_MEAN, k), line(norm[0], BATCH_VAR, k))
-    for c in range(1, len(norm)):
+        statistics(x, real, line(norm, BATCH_MEAN, k), line(norm, BATCH_VAR, k))
+    for c in range(NORMS, len(norm), NORMS):
         for k in range(count):
-            norm[c, BATCH_MEAN, k], norm[c, BATCH_VAR, k] = norm[0, BATCH_MEAN, k], norm[0, BATCH_VAR, k]
+            norm[c + BATCH_MEAN, k], norm[c + BATCH_VAR, k] = norm[BATCH_MEAN, k], norm[BATCH_VAR, k]

@@ -6,6 +6,7 @@ from frasa_rl.crossq_net import (
     BATCH_VAR,
     FOLDED,
     IN_PANELS,
+    NORMS,
     OUT,
     OUT_PANELS,
     PACKED,
@@ -48,7 +49,7 @@ def forward(net: Net, c: int, rows: int, real: int, training: bool, center: Arra
 @inlined
 def _to_one(net: Net, c: int, layer: int, rows: int, real: int) -> None:
     """The last layer of a critic."""
-    row = net.table[layer]
+    row = line(net.table, layer, 0)
     x, weight = line(net.active, c, row[ACTIVE]), line(net.backward, c, row[PACKED])
     product_of_one(line(net.result, c, 0), x, rows, real, weight, net.folded[c, row[FOLDED]], row[IN_PANELS])
 
@@ -56,7 +57,7 @@ def _to_one(net: Net, c: int, layer: int, rows: int, real: int) -> None:
 @inlined
 def _to_many(net: Net, c: int, layer: int, rows: int, real: int) -> None:
     """A hidden layer with the statistics of what comes out, or the last one of an actor."""
-    row, last = net.table[layer], layer == len(net.table) - 1
+    row, last = line(net.table, layer, 0), layer == len(net.table) - 1
     x = line(net.active, c if layer > 0 else 0, row[ACTIVE])
     y = line(net.result, c, 0) if last else line(net.active, c, net.table[layer + 1, ACTIVE])
     weight = line(net.forward, c, row[PACKED])
@@ -68,5 +69,5 @@ def _to_many(net: Net, c: int, layer: int, rows: int, real: int) -> None:
             added(real, y[at:], bias)
         else:
             start = net.table[layer + 1, STATISTIC] + panel * PANEL
-            norm = net.norm[c]
-            bias_and_rectify(y[at:], real, bias, line(norm, BATCH_MEAN, start), line(norm, BATCH_VAR, start))
+            mean, var = (line(net.norm, NORMS * c + BATCH_MEAN, start), line(net.norm, NORMS * c + BATCH_VAR, start))
+            bias_and_rectify(y[at:], real, bias, mean, var)

@@ -19,8 +19,9 @@ IN, OUT, SCALE, SHIFT, WEIGHT, BIAS, STATISTIC, IN_PANELS, OUT_PANELS, PACKED, F
 
 # Rows of what a batch renormalisation is in this update, a column for each input: its output is GAIN x + OFFSET, the
 # normalised input (x - MIDDLE) INVERSE; BATCH_MEAN and BATCH_VAR of the input; PULL and SHARE say how the mean and the
-# variance that were used follow the batch's variance.
+# variance that were used follow the batch's variance. Network c has them from row NORMS c on.
 GAIN, OFFSET, MIDDLE, INVERSE, BATCH_MEAN, BATCH_VAR, PULL, SHARE = range(8)
+NORMS = 8
 
 
 class Net(NamedTuple):
@@ -32,7 +33,7 @@ class Net(NamedTuple):
         mean, var: running statistics of the inputs of all layers, shape (C, S).
         steps: batches the statistics have seen, shape (C, L).
         radius: Frobenius norm that each layer's weight is kept at, 0 where it is free, shape (C, L).
-        norm: batch renormalisation in this update, see above, shape (C, 8, S).
+        norm: batch renormalisation in this update, see above, shape (NORMS C, S).
         forward, backward: weights with the normalisation in them, packed for the two directions, shape (C, W).
         folded: biases with the normalisation in them, shape (C, F).
         active: inputs of all layers, in panels, shape (C, A); the first layer's are those of C = 0.
@@ -106,7 +107,7 @@ def network(widths: Sequence[int], count: int, rows: int, dtype: npt.DTypeLike) 
         var=aligned(statistics, dtype),
         steps=aligned((count, len(table)), np.int64),
         radius=aligned((count, len(table)), dtype),
-        norm=aligned((count, 8, size["statistics"]), dtype),
+        norm=aligned((NORMS * count, size["statistics"]), dtype),
         forward=aligned((count, size["packed"]), dtype),
         backward=aligned((count, size["packed"]), dtype),
         folded=aligned((count, size["folded"]), dtype),

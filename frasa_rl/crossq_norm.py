@@ -23,6 +23,7 @@ from frasa_rl.crossq_net import (
     IN_PANELS,
     INVERSE,
     MIDDLE,
+    NORMS,
     OFFSET,
     OUT,
     OUT_PANELS,
@@ -105,24 +106,24 @@ def normalise(net: Net, c: int, layer: int, training: bool, center: Array, rules
         rules: epsilon, momentum and warm-up batches, each in a row of 32.
     """
     not_inlined()
-    row, norm = net.table[layer], net.norm[c]
+    row, norm = line(net.table, layer, 0), NORMS * c
     start = row[STATISTIC]
     arrays = (
         line(net.mean, c, start),
         line(net.var, c, start),
-        line(norm, GAIN, start),
-        line(norm, OFFSET, start),
-        line(norm, MIDDLE, start),
-        line(norm, INVERSE, start),
-        line(norm, PULL, start),
-        line(norm, SHARE, start),
-        line(norm, BATCH_MEAN, start),
-        line(norm, BATCH_VAR, start),
+        line(net.norm, norm + GAIN, start),
+        line(net.norm, norm + OFFSET, start),
+        line(net.norm, norm + MIDDLE, start),
+        line(net.norm, norm + INVERSE, start),
+        line(net.norm, norm + PULL, start),
+        line(net.norm, norm + SHARE, start),
+        line(net.norm, norm + BATCH_MEAN, start),
+        line(net.norm, norm + BATCH_VAR, start),
         line(net.values, c, row[SCALE]),
         line(net.values, c, row[SHIFT]),
         center,
-        rules[EPSILON],
-        rules[MOMENTUM],
+        line(rules, EPSILON, 0),
+        line(rules, MOMENTUM, 0),
     )
     panels = row[IN_PANELS]
     if not training:
@@ -142,7 +143,7 @@ _scaled = over_rows(lambda v, x, _, c: ([None, v.builder.fmul(x[0], c[0])], []),
 def fold(net: Net, c: int, layer: int) -> None:
     """Put `norm` of a layer into its weights, packed for both directions, and into its bias."""
     not_inlined()
-    row = net.table[layer]
+    row = line(net.table, layer, 0)
     inputs, outputs, start = row[IN], row[OUT], row[STATISTIC]
     forward, backward = line(net.forward, c, row[PACKED]), line(net.backward, c, row[PACKED])
     high = 1 if outputs == 1 else row[OUT_PANELS] * PANEL
@@ -151,7 +152,7 @@ def fold(net: Net, c: int, layer: int) -> None:
         arrays = (
             line(net.values, c, row[WEIGHT] + left),
             line(net.backward, c, row[PACKED] + left * high),
-            line(net.norm[c], GAIN, start + left),
+            line(net.norm, NORMS * c + GAIN, start + left),
         )
         _scaled((outputs, inputs, min(PANEL, inputs - left)), arrays)
         if outputs > 1:
@@ -163,7 +164,7 @@ def fold(net: Net, c: int, layer: int) -> None:
 @inlined
 def _fold_bias(net: Net, c: int, row: Whole) -> None:
     inputs = row[IN]
-    weight, offset = line(net.values, c, row[WEIGHT]), line(net.norm[c], OFFSET, row[STATISTIC])
+    weight, offset = line(net.values, c, row[WEIGHT]), line(net.norm, NORMS * c + OFFSET, row[STATISTIC])
     for o in range(row[OUT]):
         total = net.values[c, row[BIAS] + o]
         for i in range(inputs):

@@ -63,3 +63,9 @@ def product_of_rows(c: Array, a: Array, panels: int, b: Array, rows: int) -> Non
         for i in range(0, PANEL, ROWS):
             a_at = panel * rows * PANEL + i
             _tile_transposed(((panel * PANEL + i) * PANEL, a_at, 0, 0, 0, 1, rows), (c, a, b))
+
+
+@compiled
+def padded_rows(size: int) -> int:
+    """The next multiple of the rows of a tile."""
+    return (size + ROWS - 1) // ROWS * ROWS

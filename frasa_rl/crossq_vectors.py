@@ -7,7 +7,7 @@ from typing import Any, TypeVar, cast
 import llvmlite.binding as llvm
 import numpy.typing as npt
 from llvmlite import ir
-from numba import njit, types
+from numba import config, njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np import arrayobj
@@ -19,13 +19,20 @@ _Written = TypeVar("_Written", bound=Callable[..., Any])
 _tools: Any = cgutils
 _arrays: Any = arrayobj
 _types: Any = types
+_config: Any = config
 _njit: Any = njit
 _OPTIONS = {"nogil": True, "error_model": "numpy", "fastmath": {"reassoc", "contract", "nsz"}}
+_INNER = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 def compiled(function: _Written) -> _Written:
     """Compile for other compiled code; `entry` is what Python calls."""
-    return cast(_Written, _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)(function))
+    return cast(_Written, _njit(**_INNER)(function))
+
+
+def as_written(function: _Written) -> _Written:
+    """Compile for other compiled code, sums in the order in which they stand."""
+    return cast(_Written, _njit(**{**_INNER, "fastmath": {"nsz"}})(function))
 
 
 def inlined(function: _Written) -> _Written:
@@ -39,8 +46,14 @@ def entry(function: _Written) -> _Written:
 
 
 def registers() -> tuple[int, int]:
-    """Bytes of a vector register, and rows of a tile two registers wide that fits them all."""
-    features = llvm.get_host_cpu_features()
+    """Bytes of a vector register, and rows of a tile two registers wide that fits them all.
+
+    NUMBA_CPU_FEATURES, which numba compiles for where it is given, stands in for this processor's own.
+    """
+    given: str | None = _config.CPU_FEATURES
+    features = (
+        llvm.get_host_cpu_features() if given is None else {one[1:]: one[0] == "+" for one in given.split(",") if one}
+    )
     if features.get("avx512f", False):
         return 64, 8
     if features.get("avx2", False):
