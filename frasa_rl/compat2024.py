@@ -55,7 +55,13 @@ def compat_task(task: Task) -> Task:
     physics = Physics(timestep=0.002, integrator="euler")
     reward = replace(task.reward, rising=0.0, approach=0.0)
     return replace(
-        task, compat="frasa2024", physics=physics, near_target_share=NEAR_SHARE, falling_share=0.0, reward=reward
+        task,
+        compat="frasa2024",
+        physics=physics,
+        near_target_share=NEAR_SHARE,
+        falling_share=0.0,
+        end_gyro=Task().end_gyro,
+        reward=reward,
     )
 
 

@@ -38,7 +38,8 @@ class Plan:
         settings: of learning.
         steps, minutes, until_success: the run ends at whichever comes first (`Ends`); None for no limit.
         device: `auto`, `cpu` or `cuda`.
-        task: what is trained; its shares of starts, leading rewards and physics are those of the settings.
+        task: what is trained; its shares of starts, spin limit, leading rewards and physics are those of the
+            settings.
     """
 
     model: Path
@@ -56,6 +57,7 @@ class Plan:
             self.task,
             near_target_share=own.near_target_share,
             falling_share=own.falling_share,
+            end_gyro=own.end_gyro,
             reward=replace(self.task.reward, rising=own.rising, approach=own.approach),
         )
         object.__setattr__(self, "task", with_physics(task, own.physics))

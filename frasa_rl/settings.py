@@ -38,6 +38,7 @@ class Settings:
         near_target_share: share of the starts near the standing pose, in place of the task's.
         falling_share: share of the starts between that pose and a random one, still falling.
         rising, approach: weights of the two terms that lead to the standing pose (`reward`), in place of the task's.
+        end_gyro: an episode ends beyond this pitch rate [rad/s], in place of the task's.
         evaluate_steps: transitions between two evaluations on held-out falls; 0 for none.
         evaluate_falls: of them on each side.
         evaluate_physics: how they are simulated; `model` is the truth, whatever is trained with.
@@ -71,7 +72,8 @@ class Settings:
     near_target_share: float = 0.15
     falling_share: float = 0.45
     rising: float = 0.5
-    approach: float = 1.0
+    approach: float = 3.0
+    end_gyro: float = 40.0
     evaluate_steps: int = 50_000
     evaluate_falls: int = 32
     evaluate_physics: str = "model"
@@ -137,5 +139,6 @@ PRESETS = {
         falling_share=0.0,
         rising=0.0,
         approach=0.0,
+        end_gyro=5.0,
     ),
 }

@@ -93,6 +93,7 @@ def _task_and_settings(args: argparse.Namespace) -> tuple[Task, Settings]:
         Task(),
         near_target_share=settings.near_target_share,
         falling_share=settings.falling_share,
+        end_gyro=settings.end_gyro,
         reward=replace(Task().reward, rising=settings.rising, approach=settings.approach),
     )
     if args.task is not None:
@@ -103,6 +104,7 @@ def _task_and_settings(args: argparse.Namespace) -> tuple[Task, Settings]:
         settings,
         near_target_share=task.near_target_share,
         falling_share=task.falling_share,
+        end_gyro=task.end_gyro,
         rising=task.reward.rising,
         approach=task.reward.approach,
     )
