@@ -197,7 +197,7 @@ def build(settings: Settings, bound: Observation, joints: int, device: str) -> L
         "batch_size": settings.batch,
         "gamma": settings.discount,
         "ent_coef": f"auto_{settings.entropy}",
-        "target_entropy": "auto" if settings.target_entropy is None else settings.target_entropy,
+        "target_entropy": settings.target_entropy * joints,
         "seed": settings.seed,
         "device": device,
     }

@@ -11,7 +11,7 @@ Away from the standing pose these are flat: 25 deg off in pitch alone, the postu
 of 0 unless a training preset says otherwise, lead there:
 
     rising        0.3 h + 0.7 u (0.3 + 0.7 h)      h: height of the trunk, u: how upright it is, both from 0 to 1
-    approach      h u exp(-2 |psi - psi*|^2)
+    approach      h u (exp(-2 |psi - psi*|^2) + exp(-8 |psi - psi*|^2)) / 2
 
 They know where standing is and nothing of the way: no expert, no key pose. What they change is measured in
 `tests/benchmarks/bench_recipe.py`.
@@ -84,6 +84,9 @@ def rising(weights: Reward, high: Floats, upright: Floats) -> Floats:
 
 
 def approach(weights: Reward, high: Floats, upright: Floats, error: Floats) -> Floats:
-    """Largest in the standing pose, felt from further away than the posture term; errors of shape (..., 6)."""
-    near = np.exp(-weights.approach_slope * np.sum(error**2, axis=-1))
-    return np.asarray(weights.approach * high * upright * near)
+    """Largest in the standing pose, felt from further away than the posture term; errors of shape (..., 6).
+
+    Of two widths, so that no pose half a radian off looks like the end of the way.
+    """
+    square = weights.approach_slope * np.sum(error**2, axis=-1)
+    return np.asarray(weights.approach * high * upright * (np.exp(-square) + np.exp(-4.0 * square)) / 2.0)

@@ -30,7 +30,7 @@ class Settings:
         learning_rate, policy_delay: of CrossQ.
         actor, critic: widths of the hidden layers.
         entropy: entropy coefficient to start from; it adapts.
-        target_entropy: that it adapts to; None for minus the number of joints.
+        target_entropy: that it adapts to, a joint; -1 in the paper.
         weight_norm: keep the norms of the weights, as updates beyond one a step need.
         renorm_warmup: batches after which batch renormalisation uses running statistics.
         physics: how the simulation steps, a name of `frasa_rl.physics`; what the task says itself stays.
@@ -49,7 +49,7 @@ class Settings:
     algorithm: str = "crossq"
     envs: int = 64
     rollout_steps: int = 64
-    updates_per_step: float = 1.0
+    updates_per_step: float = 0.5
     overlap: bool = True
     env_threads: int | None = None
     threads: int = 1
@@ -64,19 +64,19 @@ class Settings:
     actor: tuple[int, ...] = (128, 128)
     critic: tuple[int, ...] = (128, 128)
     entropy: float = 0.1
-    target_entropy: float | None = None
+    target_entropy: float = -1.6
     weight_norm: bool = False
     renorm_warmup: int = 20_000
     physics: str = "fast"
     pool: int = 512
     near_target_share: float = 0.15
     falling_share: float = 0.45
-    rising: float = 0.5
+    rising: float = 1.0
     approach: float = 3.0
-    end_gyro: float = 40.0
+    end_gyro: float = 15.0
     evaluate_steps: int = 50_000
     evaluate_falls: int = 32
-    evaluate_physics: str = "model"
+    evaluate_physics: str = "fast"
     checkpoint_steps: int = 50_000
     seed: int = 0
 
@@ -134,6 +134,7 @@ PRESETS = {
         critic=(384, 256),
         renorm_warmup=100_000,
         entropy=1.0,
+        target_entropy=-1.0,
         near_target_share=0.10,
         physics="model",
         falling_share=0.0,

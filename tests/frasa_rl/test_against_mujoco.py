@@ -97,7 +97,7 @@ class Alone:
             0.05 * np.exp(-np.linalg.norm(rate - before)),
             0.1 * np.exp(-self.contact),
             0.5 * (0.3 * high + 0.7 * upright * (0.3 + 0.7 * high)),
-            high * upright * np.exp(-2 * np.sum(error**2)),
+            high * upright * (np.exp(-2 * np.sum(error**2)) + np.exp(-8 * np.sum(error**2))) / 2,
         ]
 
 

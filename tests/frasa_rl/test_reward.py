@@ -48,10 +48,10 @@ def test_rising():
 
 
 def test_approach():
-    """h u exp(-2 |e|^2): felt half a radian away, where the posture term is under a hundredth."""
+    """h u (exp(-2 |e|^2) + exp(-8 |e|^2)) / 2: felt half a radian away, where the posture term is under a hundredth."""
     error = np.array([0.5, 0, 0, 0, 0, 0])
-    assert reward.approach(GUIDED, 1.0, 1.0, error) == pytest.approx(np.exp(-0.5))
-    assert reward.approach(GUIDED, 0.5, 0.5, error) == pytest.approx(0.25 * np.exp(-0.5))
+    assert reward.approach(GUIDED, 1.0, 1.0, error) == pytest.approx((np.exp(-0.5) + np.exp(-2.0)) / 2)
+    assert reward.approach(GUIDED, 0.5, 0.5, error) == pytest.approx(0.25 * (np.exp(-0.5) + np.exp(-2.0)) / 2)
     assert reward.posture(GUIDED, error) < 0.01
 
 
