@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from frasa_rl.demo_page import write_page
+from frasa_rl.demo_page import standing, write_page
 from frasa_sysid.calibration import FrasaError, run_command, say
 
 SERVOS = ("mx106", "mx64")
@@ -90,9 +90,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     for title, _, part in demo.steps:
         say(f"  {part:5.0f} s  {title}")
     say(f"  {seconds:5.0f} s  in all")
-    say("So few minutes of training do not make a robot that stands up; most of the rise in return is the agent")
-    say("learning to keep still. The paper trains for 13 to 37 minutes on a desktop with a GPU, two processor cores")
-    say("need hours for as many updates.")
+    say(f"Training: {standing(demo.results['train'])}.")
     say(f"Open {page}")
     return {"schema": "frasa.demo/1", "seconds": seconds, "steps": demo.steps, "outputs": {"page": page}}
 

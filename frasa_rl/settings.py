@@ -93,6 +93,9 @@ class Settings:
             raise UsageError(f"env_threads is {self.env_threads}: expected at least 1")
         if not 0.0 <= self.noise_correlation < 1.0:
             raise UsageError(f"noise_correlation is {self.noise_correlation}: expected at least 0 and less than 1")
+        for name, (low, high) in _WITHIN.items():
+            if not low <= getattr(self, name) <= high:
+                raise UsageError(f"{name} is {getattr(self, name)}: expected {low:g} .. {high:g}")
         for name in ("physics", "evaluate_physics"):
             if getattr(self, name) not in NAMES:
                 raise UsageError(f"{name} are '{getattr(self, name)}': expected {' or '.join(NAMES)}")
@@ -115,6 +118,19 @@ _AT_LEAST_ONE = (
     "envs", "rollout_steps", "batch", "buffer", "n_step", "policy_delay", "threads", "pool", "evaluate_falls",
     "checkpoint_steps",
 )  # fmt: skip
+
+_WITHIN = {
+    "updates_per_step": (0.0, 1e3),
+    "discount": (0.0, 1.0),
+    "learning_rate": (0.0, 1.0),
+    "entropy": (1e-9, 1e3),
+    "target_entropy": (-1e2, 1e2),
+    "near_target_share": (0.0, 1.0),
+    "falling_share": (0.0, 1.0),
+    "rising": (0.0, 1e4),
+    "approach": (0.0, 1e4),
+    "end_gyro": (0.0, 1e3),
+}
 
 PRESETS = {
     # Chosen for two cores without a GPU, where one update costs as much as several physics steps.

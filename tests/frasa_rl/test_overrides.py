@@ -53,7 +53,7 @@ def test_every_setting_can_be_given():
         (["actor=64,0"], "with commas, such as 256,256"),
         (["overlap=maybe"], "expected true or false"),
         (["learning_rate=nan"], "expected a number"),
-        (["target_entropy=low"], "expected a number or none"),
+        (["target_entropy=low"], "expected a number"),
         (["physics=slow"], "physics are 'slow'"),
     ],
 )
