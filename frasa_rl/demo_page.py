@@ -121,7 +121,7 @@ def _training_text(train: dict[str, Any]) -> str:
     return (
         f"<p>{train['steps']} steps in {train['minutes']:.1f} minutes; mean return of an episode from "
         f"{_number(train['return_first'])} to {_number(train['return_last'])} (at most 125). A robot that only lies "
-        f"still earns up to {still_return(Task()):.0f}, and many starts of training are near the pose or still falling: "
+        f"still earns up to {still_return(Task()):.0f}, and many starts are near the pose or still falling: "
         f"what counts is that {standing(train)}. The paper trains for 13 to 37 minutes on a desktop with a GPU "
         "(235,000 to 575,000 steps, eight updates each).</p>"
     )
