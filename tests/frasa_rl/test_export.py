@@ -13,6 +13,7 @@ from frasa_rl.cli import main
 from frasa_rl.config import Joint, Names, Task
 from frasa_rl.deployment import compiled_sha256, deployment, metadata
 from frasa_rl.export import check_published, publish
+from frasa_rl.observation import bounds
 from frasa_rl.policy import Policy
 from frasa_rl.runtime import Network, Runtime, read_weights
 from frasa_sysid.calibration import QualityError, load_model
@@ -33,19 +34,14 @@ def seen(count=1000):
 def learner():
     """A learner of CrossQ as the paper has it, with statistics and scales as after a long training."""
     pytest.importorskip("sb3_contrib")
-    import gymnasium
     import torch
-    from stable_baselines3.common.vec_env import DummyVecEnv
 
     from frasa_rl.learner import build
     from frasa_rl.settings import PRESETS
 
-    class Nowhere(gymnasium.Env):
-        observation_space = gymnasium.spaces.Box(-30.0, 30.0, (22,), np.float32)
-        action_space = gymnasium.spaces.Box(-1.0, 1.0, (5,), np.float32)
-
     settings = replace(PRESETS["paper"], envs=1, buffer=100)
-    model = build(settings, DummyVecEnv([Nowhere]), "cpu")
+    own = build(settings, bounds(TASK), len(TASK.joints), "cpu")
+    model = own.model
     torch.manual_seed(0)
     with torch.no_grad():
         for name, tensor in model.actor.state_dict().items():
@@ -55,18 +51,16 @@ def learner():
                 tensor.copy_(torch.exp(torch.randn_like(tensor)))
             elif name.endswith("scale"):
                 tensor.copy_(1.0 + 0.3 * torch.randn_like(tensor))
-    return model
+    return own
 
 
 def test_all_runtimes_agree_with_the_trainer(learner, nominal, tmp_path, random_policy):
     """torch, the plain policy, the robot's runtime and onnxruntime: within 1e-5 on 1000 observations."""
     onnxruntime = pytest.importorskip("onnxruntime", reason="the extra `export`")
-    from frasa_rl.learner import plain_policy
-
     observations = seen()
-    expected, _ = learner.predict(observations, deterministic=True)
+    expected, _ = learner.model.predict(observations, deterministic=True)
     assert np.ptp(expected) > 1.0
-    policy = plain_policy(learner, random_policy(4).run)
+    policy = learner.actor().policy(random_policy(4).run)
     publish(policy, deployment(policy.run, TASK, nominal), tmp_path)
     runtime = Runtime.load(tmp_path)
     session = onnxruntime.InferenceSession(tmp_path / "policy.onnx", providers=["CPUExecutionProvider"])
@@ -160,8 +154,8 @@ def test_a_joint_on_the_midline_stands_once():
 
 def test_the_hash_is_the_runs(nominal):
     """A run and an export speak of a model by the same number."""
-    train = pytest.importorskip("frasa_rl.train")
-    assert compiled_sha256(load_model(nominal)) == train.model_hash(load_model(nominal))
+    plan = pytest.importorskip("frasa_rl.plan")
+    assert compiled_sha256(load_model(nominal)) == plan.model_hash(load_model(nominal))
 
 
 def test_new_weights_take_old_exports_away(nominal, tmp_path, random_policy):

@@ -177,8 +177,8 @@ def test_all_of_the_robots_is_restored(nominal, tmp_path, task):
     one.learner.model.save(tmp_path / "model.zip")
     other.learner.load(tmp_path / "model.zip")
     other.restore(kept)
-    before = one.collector.collect(None, 30)
-    after = other.collector.collect(None, 30)
+    before = one.collector.collect(None, 50)
+    after = other.collector.collect(None, 50)
     for name, value in vars(before.transitions).items():
         np.testing.assert_array_equal(getattr(after.transitions, name), value, err_msg=name)
     np.testing.assert_array_equal(before.returned, after.returned)

@@ -309,5 +309,6 @@ def test_a_run_keeps_its_task(model_path, task, tmp_path):
     assert train(plan)["updates"] > 0
     again = plan_of(tmp_path / "run")
     assert again == plan
-    shares = {"near_target_share": settings.near_target_share, "falling_share": settings.falling_share}
-    assert again.task == with_physics(replace(task, **shares), settings.physics)
+    own = {name: getattr(settings, name) for name in ("near_target_share", "falling_share", "end_gyro")}
+    reward = replace(task.reward, rising=settings.rising, approach=settings.approach)
+    assert again.task == with_physics(replace(task, reward=reward, **own), settings.physics)

@@ -189,20 +189,24 @@ def test_a_missing_file_says_where_to_look(tmp_path):
 
 
 def test_shares_of_starts_are_the_presets_unless_the_file_says_so(write):
-    """And frasa2024 has none that fall; the settings that a run keeps say the same as its task."""
-    from frasa_rl.commands.train import _SETTINGS, _task_and_settings
+    """And frasa2024 has none that fall, nor rewards that lead; the settings a run keeps say the same as its task."""
+    from frasa_rl.commands.training import _SETTINGS, _task_and_settings
 
     def chosen(text, compat=None):
         args = argparse.Namespace(task=write(text) if text else None, compat=compat, preset="quick")
-        task, settings = _task_and_settings(argparse.Namespace(**vars(args), **dict.fromkeys(_SETTINGS)))
+        task, settings = _task_and_settings(argparse.Namespace(**vars(args), **dict.fromkeys(_SETTINGS), set=None))
         assert (task.near_target_share, task.falling_share) == (settings.near_target_share, settings.falling_share)
+        assert (task.end_gyro, task.reward.rising) == (settings.end_gyro, settings.rising)
         return task
 
     quick = PRESETS["quick"]
     assert chosen("").falling_share == quick.falling_share
     assert chosen("episode_s: 4").near_target_share == quick.near_target_share
     assert chosen("near_target_share: 0.05").near_target_share == 0.05
-    assert chosen("", "frasa2024").falling_share == 0.0
+    assert chosen("end_gyro: 7").end_gyro == 7.0
+    assert chosen("reward: {approach: 0.5}").reward.approach == 0.5
+    published = chosen("", "frasa2024")
+    assert (published.falling_share, published.end_gyro, published.reward.approach) == (0.0, 5.0, 0.0)
 
 
 def test_training_as_the_published_environment_does(nominal, tmp_path, monkeypatch):
