@@ -104,8 +104,8 @@ class Progress:
         self.write()
 
     def write(self) -> None:
-        """The rows as progress.csv, less those before the first finished episode."""
-        PROGRESS.write(self._run, [row for row in self.rows if np.isfinite(row).all()])
+        """The rows as progress.csv; what is not known before the first finished episode is left out."""
+        PROGRESS.write(self._run, self.rows)
 
     def show(self) -> None:
         """The progress line."""

@@ -36,25 +36,10 @@ def agent_row(seed: int, run: Path) -> list[float]:
     chosen = tried[tried[:, -1] == 1.0]
     best = chosen[-1] if len(chosen) else np.full(len(EVALUATIONS.columns), _UNKNOWN)
     success = (best[3] + best[4]) / 2.0
-    # Evaluations speak of runs in which no episode is over yet, too.
-    row = [
-        seed,
-        _latest(steps, tried[:, 0]),
-        _latest(minutes, tried[:, 1]),
-        best[3],
-        best[4],
-        success,
-        best[5],
-        best[0],
-        best[1],
-    ]
+    returns = returns[np.isfinite(returns)]
+    row = [seed, _last(steps), _last(minutes), best[3], best[4], success, best[5], best[0], best[1]]
     row += [*_first(tried, _HALF), *_first(tried, _MOST), _last(returns), returns.max() if len(returns) else _UNKNOWN]
     return [float(one) for one in row]
-
-
-def _latest(*columns: Floats) -> float:
-    """The largest of the last values of columns that grow; NaN where all are empty."""
-    return max((float(one[-1]) for one in columns if len(one)), default=_UNKNOWN)
 
 
 def _last(values: Floats) -> float:

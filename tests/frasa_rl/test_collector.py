@@ -102,7 +102,7 @@ class Still(Curriculum):
 
 
 def test_a_curriculum_pays(nominal, actor):
-    """What it returns is what is written down; the robots move as before, and the paper's return is summed as before."""
+    """What it returns is what is written down; robots move as before, and the paper's return is summed as before."""
     plain, paid = Collector(episodes(nominal), 0.0, 0), Collector(episodes(nominal, Still()), 0.0, 0)
     a, b = plain.collect(actor, 30), paid.collect(actor, 30)
     np.testing.assert_array_equal(a.transitions.actions, b.transitions.actions)

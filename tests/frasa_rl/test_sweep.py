@@ -25,7 +25,7 @@ TINY = (
     "envs=4", "pool=8", "batch=16", "actor=16,16", "critic=16,16", "learning_starts=40", "renorm_warmup=20",
     "evaluate_falls=1", "evaluate_physics=fast", "evaluate_steps=0", "checkpoint_steps=64", "updates_per_step=0.1",
 )  # fmt: skip
-SETTINGS = [word for one in TINY for word in ("--set", one)]
+SETTINGS = [word for one in (*TINY, "end_gyro=5") for word in ("--set", one)]
 
 
 @pytest.fixture(scope="module")
