@@ -1,10 +1,6 @@
 """The learner on a processor: torch's tensors on one side, the compiled updates on the other."""
 
-import os
-import subprocess
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,24 +10,10 @@ from sb3_contrib import CrossQ
 
 from frasa_rl.crossq_bind import Bound, layers_of
 from frasa_rl.crossq_cpu import Data, Rules, updates
+from frasa_rl.crossq_disk import fill
 from frasa_rl.crossq_squash import room
 from frasa_rl.crossq_vectors import PANEL, Array
 
-_CHILD = "FRASA_COMPILES"  # set in the process that compiles for others
-_FILL = """
-import gymnasium, numpy as np
-from gymnasium import spaces
-from frasa_rl.batches import Batches
-from frasa_rl.crossq import FastCrossQ
-class Env(gymnasium.Env):
-    observation_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
-    action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
-policy = {"net_arch": [4], "optimizer_kwargs": {"betas": (0.5, 0.999)}}
-model = FastCrossQ("MlpPolicy", Env(), policy_kwargs=policy, buffer_size=1, device="cpu", seed=0)
-zeros = lambda *shape: np.zeros(shape, np.float32)
-model.update(Batches(zeros(1, 4, 2), zeros(1, 4, 1), zeros(1, 4, 2), *(zeros(1, 4) for _ in range(3)),
-                     zeros(1, 4, 1), zeros(1, 4, 1)))
-"""
 Losses = npt.NDArray[np.float64]
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 
@@ -79,7 +61,7 @@ class Processor:
         first, second = (state[name].numpy() for name in _MOMENTS)
         lines = value.numpy(), np.zeros(1, self.dtype), first, second
         if self.dtype == np.float32:
-            _on_disk()
+            fill(updates)
         updates(self.actor.net, self.critic.net, lines, steps, done, data, self._rules(), self._room, losses)
         self.actor.step, self.critic.step = steps[0], steps[1]
         state["step"].fill_(steps[2])
@@ -99,21 +81,6 @@ class Processor:
             critic_adam=_adam_rules(model.critic.optimizer),
             entropy_adam=_adam_rules(model.ent_coef_optimizer or model.actor.optimizer),
         )
-
-
-def _on_disk() -> None:
-    """Have the updates compiled by another process, once, so that every process loads the same code.
-
-    Where they are compiled, inner functions are linked as compiled alone; where they are loaded, as the whole was
-    optimised. These round differently, and a resumed run must come to the numbers of an unbroken one. A child that
-    fails changes nothing: then the updates are compiled here.
-    """
-    known: Any = updates
-    if _CHILD in os.environ or known.signatures or any(Path(known.stats.cache_path).glob("crossq_cpu._entry*.nbi")):
-        return
-    path = os.pathsep.join([str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
-    environment = {**os.environ, _CHILD: "1", "PYTHONPATH": path}
-    subprocess.run([sys.executable, "-c", _FILL], env=environment, check=False, capture_output=True)
 
 
 def _adam_state(
