@@ -43,6 +43,41 @@ class ActorLayers:
         return Policy((*self.hidden, self.mean), run)
 
 
+class Average:
+    """The mean of an actor's weights over its last updates, the newest counting most: the policy that is published.
+
+    An actor that learns fast leans now forward, now backward by some degrees, as often as it is asked; its mean does
+    not (Polyak averaging, https://doi.org/10.1137/0330046).
+
+    Args:
+        updates: over which the mean is taken; 0 for none.
+    """
+
+    def __init__(self, updates: int) -> None:
+        self._updates = updates
+        self._numbers: list[npt.NDArray[np.float64]] = []
+
+    def follow(self, actor: ActorLayers, updates: int) -> None:
+        """The actor after so many more updates."""
+        newest = [one.astype(np.float64) for layer in (*actor.hidden, actor.mean) for one in layer]
+        share = 1.0 - np.exp(-updates / self._updates) if self._updates and self._numbers else 1.0
+        before = self._numbers or newest
+        self._numbers = [old + share * (new - old) for old, new in zip(before, newest, strict=True)]
+
+    def policy(self, run: dict[str, Any]) -> Policy:
+        """The mean, as it is published."""
+        weights = [one.astype(np.float32) for one in self._numbers]
+        return Policy(tuple(zip(weights[::2], weights[1::2], strict=True)), run)
+
+    def snapshot(self) -> Arrays:
+        """For a checkpoint."""
+        return {str(place): one.copy() for place, one in enumerate(self._numbers)}
+
+    def restore(self, kept: Mapping[str, np.ndarray[Any, Any]]) -> None:
+        """The other way round."""
+        self._numbers = [kept[str(place)].copy() for place in range(len(kept))]
+
+
 class Noise:
     """Standard normal numbers for every robot and joint; each step keeps a share of the one before.
 

@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from frasa_rl.actor import Average
 from frasa_rl.collector import Collector, Round
 from frasa_rl.learner import Learner
+from frasa_rl.policy import Policy
 from frasa_rl.replay import Replay
 from frasa_rl.settings import Settings
 from frasa_rl.snapshots import Arrays, nested, part
@@ -39,6 +41,8 @@ class Loop:
         self.learner, self.collector, self.replay = learner, collector, replay
         self.steps = 0
         self._settings = settings
+        self._average = Average(settings.average)
+        self._average.follow(learner.actor(), 0)
         self._beside = ThreadPoolExecutor(1, "collector")
 
     def round(self) -> Round:
@@ -66,11 +70,16 @@ class Loop:
         while updates > 0:
             many = min(updates, _AT_ONCE)
             self.learner.update(self.replay.draw(many, self._settings.batch))
+            self._average.follow(self.learner.actor(), many)
             updates -= many
 
     def _keep(self, got: Round) -> None:
         self.replay.add(got.transitions)
         self.steps += got.transitions.rewards.size
+
+    def policy(self, run: dict[str, Any]) -> Policy:
+        """What has been learned so far, to be tried and published."""
+        return self._average.policy(run)
 
     def snapshot(self) -> Arrays:
         """All of it but what the learner saves itself, for a checkpoint."""
@@ -79,6 +88,7 @@ class Loop:
             **nested("learner", self.learner.snapshot()),
             **nested("collector", self.collector.snapshot()),
             **nested("replay", self.replay.snapshot()),
+            **nested("average", self._average.snapshot()),
         }
 
     def restore(self, kept: Mapping[str, np.ndarray[Any, Any]]) -> None:
@@ -91,6 +101,7 @@ class Loop:
         self.collector.restore(part("collector", kept))
         self.replay.restore(part("replay", kept))
         self.learner.restore(part("learner", kept))
+        self._average.restore(part("average", kept))
         self.steps = int(kept["steps"])
 
     def close(self) -> None:

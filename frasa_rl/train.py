@@ -171,7 +171,7 @@ class _Run:
         if self._held_out is None:
             plan, settings = self._plan, self._settings
             self._held_out = HeldOut(plan.model, plan.task, settings.evaluate_falls, settings.evaluate_physics)
-        policy = self._loop.learner.actor().policy({})
+        policy = self._loop.policy({})
         got = self._held_out.run(policy, self._evaluations.next_set)
         minutes = self._progress.elapsed_s / 60.0
         if self._evaluations.add(self._loop.steps, minutes, got.prone, got.supine, got.time_s):
@@ -206,7 +206,7 @@ class _Run:
             **nested("evaluations", self._evaluations.snapshot()),
         }
         save_checkpoint(self._plan.out, self._loop.steps, self._mark, self._loop.learner.save(), state)
-        newest = self._policy(self._loop.learner.actor().policy({}), {})
+        newest = self._policy(self._loop.policy({}), {})
         newest.save(self._plan.out / LATEST)
         if self._evaluations.best is None:
             self._publish(newest)
