@@ -65,9 +65,7 @@ def _train(said: dict[str, Any], out: Path, place: Place) -> None:
     if model_hash(load_model(plan.model)) != said["model_sha256"]:
         raise CalibrationError(f"{plan.model} is not the model this sweep was started with: start a new one")
     if not place.cores and plan.settings.env_threads is None:  # else it would take the whole machine
-        own = plan.settings
-        left = max(1, place.count - own.threads) if own.overlap else place.count
-        plan = replace(plan, settings=replace(own, env_threads=left))
+        plan = replace(plan, settings=replace(plan.settings, env_threads=place.count))
     with _alone(out):
         result = train(plan, resume=(out / RUN_FILE).exists())
         done = {**plain(result), "ends": ends_of(said)}

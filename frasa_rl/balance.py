@@ -13,7 +13,8 @@ from numpy.random import Generator
 
 from frasa_rl.batch import Batch
 from frasa_rl.config import Task
-from frasa_rl.falls import Release, let_go, standing
+from frasa_rl.falls import Release, let_go
+from frasa_rl.poses import standing
 from frasa_rl.robot import Floats, Robot
 from frasa_rl.simulation import Start
 

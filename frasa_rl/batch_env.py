@@ -12,11 +12,12 @@ from frasa_rl import reward
 from frasa_rl.batch import Batch
 from frasa_rl.compat2024 import EXTRA_STEPS
 from frasa_rl.config import Task
-from frasa_rl.falls import trunk_heights
 from frasa_rl.observation import Observation
+from frasa_rl.poses import trunk_heights
 from frasa_rl.robot import Floats
 from frasa_rl.simulation import Start
 from frasa_rl.snapshots import Arrays, nested, part, put_back, taken
+from frasa_rl.support import Support
 
 Flags = npt.NDArray[np.bool_]
 _KEPT = ("_last", "_steps", "_standing")
@@ -69,6 +70,7 @@ class StandUpBatch:
         self._last = np.zeros((count, n))
         self._floor, standing = trunk_heights(model, self.batch.robot, task)
         self._standing_height = standing - self._floor
+        self._support = Support(model, self.batch.robot, task) if task.reward.gathering else None
         self._steps = np.zeros(count, dtype=np.int64)
         self._standing = np.zeros(count, dtype=np.int64)
         longest = round(task.episode_s / task.control_period_s)
@@ -130,10 +132,16 @@ class StandUpBatch:
                 reward.action(weights, self._last * limit),
                 reward.variation(weights, self._last * limit, previous * limit),
                 reward.self_contact(weights, self.batch.now.contact),
-                reward.rising(weights, high, upright),
+                self._gathering(errors[:, -1]),
                 reward.approach(weights, high, upright, errors),
             ]
         )
+
+    def _gathering(self, pitch_error: Floats) -> Floats:
+        if self._support is None:
+            return np.zeros(self.count)
+        numbers, of = self.batch.now.support, self._support
+        return reward.gathering(self.task.reward, of.above(numbers) / of.standing, of.flat(numbers), pitch_error)
 
     def _over(self) -> Flags:
         """Fallen beyond the pitch limit, or turning too fast, tested at the end of a control period."""

@@ -34,7 +34,8 @@ import numpy as np
 from numpy.random import Generator
 
 from frasa_rl.config import Physics, Task
-from frasa_rl.falls import Release, let_go, standing
+from frasa_rl.falls import Release, let_go
+from frasa_rl.poses import standing
 from frasa_rl.readings import Readings, Truth
 from frasa_rl.robot import Floats, Robot
 from frasa_rl.simulation import Simulation, Start, fresh
@@ -53,7 +54,7 @@ EXTRA_STEPS = 1  # an episode ends after its time has passed, not when it is rea
 def compat_task(task: Task) -> Task:
     """The task as the published environment has it: its physics, its steps, its errors."""
     physics = Physics(timestep=0.002, integrator="euler")
-    reward = replace(task.reward, rising=0.0, approach=0.0)
+    reward = replace(task.reward, gathering=0.0, approach=0.0)
     return replace(
         task,
         compat="frasa2024",

@@ -114,7 +114,8 @@ class Reward:
         action: weight of small rates.
         variation: weight of steady rates.
         self_contact: weight of parts not touching each other.
-        rising: weight of a high and upright trunk, whatever the joints do; not in the paper. Training's own (Settings).
+        gathering: weight of the centre of mass above flat feet, whatever the joints do; not in the paper. Training's
+            own (Settings).
         approach: weight of the standing pose from further away, once the trunk is high and upright; likewise.
         posture_slope: slope of the posture term [1/rad^2].
         approach_slope: smaller slope of the approach term, the other is four times as large [1/rad^2].
@@ -126,7 +127,7 @@ class Reward:
     action: float = 0.10  # in the published environment, absent from the paper
     variation: float = 0.05
     self_contact: float = 0.10
-    rising: float = 0.0
+    gathering: float = 0.0
     approach: float = 0.0
     posture_slope: float = 20.0
     approach_slope: float = 2.0

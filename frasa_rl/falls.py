@@ -12,6 +12,7 @@ import numpy as np
 from numpy.random import Generator
 
 from frasa_rl.config import Task
+from frasa_rl.poses import place, standing
 from frasa_rl.robot import Floats, Robot, pitch_of
 from frasa_rl.simulation import Start, fresh, state_of
 from frasa_sysid.calibration import hold_history
@@ -74,11 +75,6 @@ def _random(robot: Robot, task: Task, rng: Generator, kind: Kind) -> Release:
     return Release(joints, float(np.radians(pitch)), task.settle_max_s, kind)
 
 
-def standing(task: Task) -> tuple[Floats, float]:
-    """Joints (n,) and pitch of the standing pose [rad]."""
-    return np.radians([one.target_deg for one in task.joints]), float(np.radians(task.target_pitch_deg))
-
-
 def let_go(
     model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, task: Task, how: Release, drawn: dict[str, float]
 ) -> Start:
@@ -92,40 +88,10 @@ def let_go(
         how: joints and pitch.
         drawn: what was randomized.
     """
-    _pose(model, data, robot, how, task.release_height)
+    place(model, data, robot, how.joints, how.pitch, task.release_height)
     hold_history(model, data)
     ages = fresh(model)
     return Start(model, state_of(model, data), data.ctrl.copy(), data.sensordata.copy(), ages, drawn, kind=how.kind)
-
-
-def _pose(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, how: Release, gap: float) -> None:
-    """Put the robot in a pose, its lowest point a gap [m] above the floor."""
-    mujoco.mj_resetData(model, data)
-    data.ctrl[:] = robot.held
-    data.ctrl[robot.actuators] = robot.both_sides(how.joints)
-    turning = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
-    data.qpos[model.jnt_qposadr[model.actuator_trnid[turning, 0]]] = data.ctrl[turning]
-    root = robot.root_qpos
-    data.qpos[root : root + 7] = (0.0, 0.0, 1.0, np.cos(how.pitch / 2), 0.0, np.sin(how.pitch / 2), 0.0)
-    mujoco.mj_kinematics(model, data)
-    data.qpos[root + 2] += data.geom_xpos[robot.floor, 2] + gap - lowest_point(model, data, robot)
-
-
-def trunk_heights(model: mujoco.MjModel, robot: Robot, task: Task) -> tuple[float, float]:
-    """Where the floor is, and the trunk in the standing pose [m], both in the world."""
-    data = mujoco.MjData(model)
-    joints, pitch = standing(task)
-    _pose(model, data, robot, Release(joints, pitch, 0.0), 0.0)
-    return float(data.geom_xpos[robot.floor, 2]), float(data.qpos[robot.root_qpos + 2])
-
-
-def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot) -> float:
-    """Height of the lowest point of the robot's bounding boxes [m]; exact for boxes, safe for the rest."""
-    own = model.body_rootid[model.geom_bodyid] == robot.trunk
-    rotation = data.geom_xmat[own].reshape(-1, 3, 3)
-    centre, half = model.geom_aabb[own, :3], model.geom_aabb[own, 3:]
-    heights = data.geom_xpos[own, 2] + np.einsum("ni,ni->n", rotation[:, 2], centre)
-    return float((heights - np.einsum("ni,ni->n", np.abs(rotation[:, 2]), half)).min())
 
 
 def as_asked(robot: Robot, state: Floats, task: Task, kind: Kind) -> bool:

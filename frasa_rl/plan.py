@@ -58,7 +58,7 @@ class Plan:
             near_target_share=own.near_target_share,
             falling_share=own.falling_share,
             end_gyro=own.end_gyro,
-            reward=replace(self.task.reward, rising=own.rising, approach=own.approach),
+            reward=own.reward(self.task.reward),
         )
         object.__setattr__(self, "task", with_physics(task, own.physics))
 

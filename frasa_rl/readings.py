@@ -19,6 +19,8 @@ class Truth:
         turning: angular rate of the trunk in its own axes [rad/s], shape (count, 3).
         contact: sum of the forces between parts of a robot [N], one physics step old, shape (count,).
         height: of the trunk in the world [m], shape (count,).
+        support: what these sensors say (`support`), one physics step old, shape (count, 3 + 7 feet); no columns where
+            the task does not ask.
     """
 
     positions: Floats
@@ -27,6 +29,7 @@ class Truth:
     turning: Floats
     contact: Floats
     height: Floats
+    support: Floats
 
     @property
     def pitch(self) -> Floats:
@@ -55,6 +58,7 @@ def truth(robot: Robot, sim: Simulation) -> Truth:
         turning=sim.qvel[:, free : free + 3].copy(),
         contact=np.linalg.norm(forces, axis=2).sum(axis=1),
         height=sim.qpos[:, robot.root_qpos + 2].copy(),
+        support=sim.sensors[:, robot.support or slice(0)].copy(),
     )
 
 

@@ -10,11 +10,14 @@ At most 1.25 a step. Arrays of any leading shape. Source: FRASA, arXiv 2410.0865
 Away from the standing pose these are flat: 25 deg off in pitch alone, the posture term is 0.02. Two more, with weights
 of 0 unless a training preset says otherwise, lead there:
 
-    rising        0.3 h + 0.7 u (0.3 + 0.7 h)      h: height of the trunk, u: how upright it is, both from 0 to 1
+    gathering     exp(-|c - c*|^2 / 0.72) (0.3 + 0.7 f) (0.3 + 0.7 v)     c: centre of mass seen from the feet, as a
+                                                                  share of its height when standing (c* = 0, 0, 1)
     approach      h u (exp(-2 |psi - psi*|^2) + exp(-8 |psi - psi*|^2)) / 2
 
-They know where standing is and nothing of the way: no expert, no key pose. What they change is measured in
-`tests/benchmarks/bench_recipe.py`.
+h is the height of the trunk, u and v how upright it is (v without a peak), f how flat the feet are, from 0 to 1. They
+know where standing is and nothing of the way: no expert, no key pose. What has its mass above flat feet is on its way
+up, from the front and from the back; paid for height and an upright trunk alone, robots sit with their legs out, kneel
+or bridge, and stay so. What the terms change is measured in `tests/benchmarks/bench_recipe.py`.
 """
 
 import numpy as np
@@ -23,9 +26,10 @@ from frasa_rl.config import Reward, Task
 from frasa_rl.readings import Truth
 from frasa_rl.robot import Floats, Robot
 
+_GATHERED = 0.6  # how far off the centre of mass may be, as a share of its height when standing
 _LYING = 0.25  # share of the standing height at which a trunk lies flat
 PAPER_TERMS = ("posture", "action", "variation", "self_contact")
-TERMS = (*PAPER_TERMS, "rising", "approach")
+TERMS = (*PAPER_TERMS, "gathering", "approach")
 
 
 def target(task: Task) -> Floats:
@@ -78,9 +82,20 @@ def upright_share(pitch_error: Floats) -> Floats:
     return np.asarray(0.25 * (1.0 + np.cos(pitch_error)) + 0.5 * np.exp(-4.0 * pitch_error**2))
 
 
-def rising(weights: Reward, high: Floats, upright: Floats) -> Floats:
-    """Largest for a trunk as high and as upright as standing, from both shares, shape (...,) each."""
-    return np.asarray(weights.rising * (0.3 * high + 0.7 * upright * (0.3 + 0.7 * high)))
+def gathering(weights: Reward, above: Floats, flat: Floats, pitch_error: Floats) -> Floats:
+    """Largest with the centre of mass straight above flat feet, as high as when standing, and an upright trunk.
+
+    Getting up from a squat on the back leans far forward first, so that the trunk's share must have no sharp peak.
+
+    Args:
+        weights: of the terms.
+        above: the centre of mass seen from between the feet, as a share of its height when standing, shape (..., 3).
+        flat: how flat the feet are, from 0 to 1, shape (...,); kneeling is no standing.
+        pitch_error: of the trunk [rad], shape (...,).
+    """
+    near = np.exp(-np.sum((above - [0.0, 0.0, 1.0]) ** 2, axis=-1) / (2.0 * _GATHERED**2))
+    upright = (1.0 + np.cos(pitch_error)) / 2.0
+    return np.asarray(weights.gathering * near * (0.3 + 0.7 * flat) * (0.3 + 0.7 * upright))
 
 
 def approach(weights: Reward, high: Floats, upright: Floats, error: Floats) -> Floats:

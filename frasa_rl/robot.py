@@ -44,6 +44,7 @@ class Robot:
         position, velocity: sensors of the joints, shape (n, 2) or empty.
         orientation, gyro: sensors of the trunk, shape (1,) or empty.
         self_contact: forces between parts of the robot, shape (3 k,) of `sensordata`.
+        support: centre of mass and feet, shape (3 + 7 feet,) of `sensordata`; None where the task does not ask.
         trunk, floor: body and geom.
         root_qpos, root_dof: where the trunk's free joint starts.
     """
@@ -60,6 +61,7 @@ class Robot:
     orientation: Sensors
     gyro: Sensors
     self_contact: slice
+    support: slice | None
     trunk: int
     floor: int
     root_qpos: int
@@ -112,6 +114,7 @@ def find_robot(model: mujoco.MjModel, task: Task) -> Robot:
         orientation=_trunk_sensor(model, names.orientation, trunk, 4),
         gyro=_trunk_sensor(model, names.gyro, trunk, 3),
         self_contact=_slice(model, names.self_contact or ADDED_SELF_CONTACT),
+        support=_support(model),
         trunk=trunk,
         floor=int(model.geom(names.floor).id),
         root_qpos=int(model.jnt_qposadr[root]),
@@ -120,6 +123,7 @@ def find_robot(model: mujoco.MjModel, task: Task) -> Robot:
 
 
 ADDED_SELF_CONTACT = "frasa_self_contact"
+ADDED_SUPPORT = "frasa_support_{}"  # 0: centre of mass; then place and turn of each foot
 
 
 def sensor_names(task: Task) -> list[str]:
@@ -231,3 +235,13 @@ def _slice(model: mujoco.MjModel, name: str) -> slice:
     index = model.sensor(name).id
     start = int(model.sensor_adr[index])
     return slice(start, start + int(model.sensor_dim[index]))
+
+
+def _support(model: mujoco.MjModel) -> slice | None:
+    """The sensors that `support` added, one after the other."""
+    names = {model.sensor(i).name for i in range(model.nsensor)}
+    count = sum(name.startswith(ADDED_SUPPORT.format("")) for name in names)
+    if not count:
+        return None
+    first, last = (_slice(model, ADDED_SUPPORT.format(number)) for number in (0, count - 1))
+    return slice(first.start, last.stop)

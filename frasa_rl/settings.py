@@ -1,7 +1,8 @@
 """How a policy is learned: the paper's settings, and quick ones for two processor cores."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from frasa_rl.config_parts import Reward
 from frasa_rl.physics import NAMES
 from frasa_rl.simulation import all_threads
 from frasa_sysid.calibration import UsageError
@@ -19,7 +20,7 @@ class Settings:
         rollout_steps: transitions gathered in a round, a multiple of `envs`.
         updates_per_step: gradient updates a transition.
         overlap: gather a round while learning from the rounds before; else one after the other.
-        env_threads: of the physics; None for all cores, less those that learn at the same time.
+        env_threads: of the physics; None for one a core.
         threads: of torch on a processor; more than one stalls where cores are shared.
         learning_starts: transitions of random actions before learning.
         noise_correlation: of the exploration noise, between a step and the next; 0 for white noise.
@@ -31,13 +32,14 @@ class Settings:
         actor, critic: widths of the hidden layers.
         entropy: entropy coefficient to start from; it adapts.
         target_entropy: that it adapts to, a joint; -1 in the paper.
+        average: updates over which the published policy is the actor's mean; 0 publishes the actor as it is.
         weight_norm: keep the norms of the weights, as updates beyond one a step need.
         renorm_warmup: batches after which batch renormalisation uses running statistics.
         physics: how the simulation steps, a name of `frasa_rl.physics`; what the task says itself stays.
         pool: settled starts to choose from, each with a robot of its own.
         near_target_share: share of the starts near the standing pose, in place of the task's.
         falling_share: share of the starts between that pose and a random one, still falling.
-        rising, approach: weights of the two terms that lead to the standing pose (`reward`), in place of the task's.
+        gathering, approach: weights of the two terms that lead to the standing pose (`reward`), in place of the task's.
         end_gyro: an episode ends beyond this pitch rate [rad/s], in place of the task's.
         evaluate_steps: transitions between two evaluations on held-out falls; 0 for none.
         evaluate_falls: of them on each side.
@@ -65,13 +67,14 @@ class Settings:
     critic: tuple[int, ...] = (128, 128)
     entropy: float = 0.1
     target_entropy: float = -1.6
+    average: int = 4_000
     weight_norm: bool = False
     renorm_warmup: int = 20_000
     physics: str = "fast"
     pool: int = 512
     near_target_share: float = 0.15
     falling_share: float = 0.45
-    rising: float = 1.0
+    gathering: float = 1.5
     approach: float = 3.0
     end_gyro: float = 15.0
     evaluate_steps: int = 50_000
@@ -86,7 +89,7 @@ class Settings:
         for name in _AT_LEAST_ONE:
             if getattr(self, name) < 1:
                 raise UsageError(f"{name} is {getattr(self, name)}: expected at least 1")
-        for name in ("seed", "learning_starts", "evaluate_steps"):
+        for name in ("seed", "learning_starts", "evaluate_steps", "average"):
             if getattr(self, name) < 0:
                 raise UsageError(f"{name} is {getattr(self, name)}: expected 0 or more")
         if self.env_threads is not None and self.env_threads < 1:
@@ -100,6 +103,10 @@ class Settings:
             if getattr(self, name) not in NAMES:
                 raise UsageError(f"{name} are '{getattr(self, name)}': expected {' or '.join(NAMES)}")
 
+    def reward(self, task: Reward) -> Reward:
+        """A task's rewards with the terms that lead weighted as here."""
+        return replace(task, gathering=self.gathering, approach=self.approach)
+
     @property
     def rounds(self) -> tuple[int, int]:
         """Steps of every environment, then gradient updates, in one round."""
@@ -109,9 +116,8 @@ class Settings:
     @property
     def physics_threads(self) -> int:
         """Threads that step the environments of this machine."""
-        if self.env_threads is not None:
-            return self.env_threads
-        return max(1, all_threads() - self.threads) if self.overlap else all_threads()
+        # All of them, updates or not: the learner is done long before the robots, and its core would rest.
+        return self.env_threads or all_threads()
 
 
 _AT_LEAST_ONE = (
@@ -127,7 +133,7 @@ _WITHIN = {
     "target_entropy": (-1e2, 1e2),
     "near_target_share": (0.0, 1.0),
     "falling_share": (0.0, 1.0),
-    "rising": (0.0, 1e4),
+    "gathering": (0.0, 1e4),
     "approach": (0.0, 1e4),
     "end_gyro": (0.0, 1e3),
 }
@@ -151,10 +157,11 @@ PRESETS = {
         renorm_warmup=100_000,
         entropy=1.0,
         target_entropy=-1.0,
+        average=0,
         near_target_share=0.10,
         physics="model",
         falling_share=0.0,
-        rising=0.0,
+        gathering=0.0,
         approach=0.0,
         end_gyro=5.0,
     ),

@@ -14,6 +14,7 @@ import numpy as np
 from frasa_rl.config import Physics, Task
 from frasa_rl.friction_stand_in import put_aside, stand_in
 from frasa_rl.robot import ADDED_SELF_CONTACT, sensor_names
+from frasa_rl.support import add_support
 from frasa_sysid.calibration import ModelError, compile_model, load_spec, stepping
 
 _INTEGRATORS = {
@@ -56,6 +57,9 @@ def build_model(
     if task.physics.friction_law != "model":
         put_aside(spec)
     model = compile_model(spec, path)
+    if task.reward.gathering:
+        add_support(spec, model, task)
+        model = compile_model(spec, path)
     if task.physics.friction_law != "model":
         stand_in(model, task.rate_limit)
     _set_physics(model, task.physics, task.names.trunk)

@@ -36,7 +36,7 @@ def add_training(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--algorithm", choices=ALGORITHMS, help="crossq (default), or SAC to compare with")
     parser.add_argument("--envs", type=int, help="environments stepped together")
-    parser.add_argument("--env-threads", type=int, help="threads of the physics (default: the cores that are left)")
+    parser.add_argument("--env-threads", type=int, help="threads of the physics (default: one a core)")
     parser.add_argument("--threads", type=int, help="threads of torch (default 1: more stall on shared cores)")
     parser.add_argument("--evaluate-steps", type=int, help="transitions between two evaluations, 0 for none")
     parser.add_argument("--evaluate-falls", type=int, help="held-out falls of each side (default 32)")
@@ -94,7 +94,7 @@ def _task_and_settings(args: argparse.Namespace) -> tuple[Task, Settings]:
         near_target_share=settings.near_target_share,
         falling_share=settings.falling_share,
         end_gyro=settings.end_gyro,
-        reward=replace(Task().reward, rising=settings.rising, approach=settings.approach),
+        reward=settings.reward(Task().reward),
     )
     if args.task is not None:
         task = load_task(args.task, task)
@@ -105,6 +105,6 @@ def _task_and_settings(args: argparse.Namespace) -> tuple[Task, Settings]:
         near_target_share=task.near_target_share,
         falling_share=task.falling_share,
         end_gyro=task.end_gyro,
-        rising=task.reward.rising,
+        gathering=task.reward.gathering,
         approach=task.reward.approach,
     )

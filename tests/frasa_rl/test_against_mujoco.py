@@ -10,7 +10,7 @@ import pytest
 from frasa_rl.batch import Batch
 from frasa_rl.batch_env import StandUpBatch
 from frasa_rl.config import Physics, Reward, Task
-from frasa_rl.falls import trunk_heights
+from frasa_rl.poses import place, standing, trunk_heights
 from frasa_rl.readings import read
 from frasa_rl.robot import pitch_of
 from frasa_rl.simulation import FULL
@@ -46,6 +46,7 @@ class Alone:
         self.data.ctrl[:] = start.ctrl
         self.command = start.ctrl[robot.actuators[:, 0]].copy()
         self.previous = np.zeros(5)
+        self.feet = [i for i in range(self.model.nbody) if "_cleat_" in self.model.body(i).name]
 
     def act(self, action, period):
         """One control period; keeps the two last instants for readings younger than a physics step."""
@@ -60,6 +61,8 @@ class Alone:
             self.old = self.instant()
             mujoco.mj_step(model, data)
         self.contact = sum(np.linalg.norm(data.sensordata[robot.self_contact].reshape(-1, 3), axis=1))
+        self.above_feet = data.subtree_com[robot.trunk] - data.xpos[self.feet].mean(axis=0)
+        self.upward = data.xmat[self.feet].reshape(-1, 3, 3)[:, 2]
         mujoco.mj_forward(model, data)
         self.command, self.last, self.previous = goal, self.previous, action
 
@@ -84,19 +87,23 @@ class Alone:
         q, v, quaternion, turning = found
         return q[:, :, 0], v[:, :, 0], pitch_of(quaternion[0, 0]), turning[0, 0, 1]
 
-    def rewards(self, standing):
-        """The published formula on what is true, and the two terms that lead up to the standing height [m]."""
+    def rewards(self, standing, mass, upward):
+        """The published formula on what is true, and the terms that lead up to the standing height, of its mass [m]."""
         angles = self.data.qpos[self.robot.qpos].mean(axis=1)
         error = np.append(angles, pitch_of(self.data.qpos[3:7])) - TARGET
         rate, before = self.previous * 2 * np.pi, self.last * 2 * np.pi
         high = min(max((self.data.qpos[2] / standing - 0.25) / 0.75, 0.0), 1.0)
+        flat = np.mean(1 + np.sum(self.upward * upward, axis=1)) / 2
         upright = (1 + np.cos(error[5])) / 4 + np.exp(-4 * error[5] ** 2) / 2
         return [
             np.exp(-20 * np.sum(error**2)),
             0.1 * np.exp(-np.linalg.norm(rate)),
             0.05 * np.exp(-np.linalg.norm(rate - before)),
             0.1 * np.exp(-self.contact),
-            0.5 * (0.3 * high + 0.7 * upright * (0.3 + 0.7 * high)),
+            0.8
+            * np.exp(-np.sum((self.above_feet / mass - [0, 0, 1]) ** 2) / 0.72)
+            * (0.3 + 0.7 * flat)
+            * (0.3 + 0.35 * (1 + np.cos(error[5]))),
             high * upright * (np.exp(-2 * np.sum(error**2)) + np.exp(-8 * np.sum(error**2))) / 2,
         ]
 
@@ -158,11 +165,14 @@ def test_the_batch_is_a_loop_of_steps(robot_model_dir, name, delay, timestep, pe
 @pytest.mark.parametrize("name", ["nominal", "calibrated"])
 def test_rewards_are_the_formula_of_the_loop(robot_model_dir, name):
     """States and all six terms of three robots, every step, and no robot that takes another's."""
-    task = replace(Task(), reward=Reward(rising=0.5, approach=1.0))
+    task = replace(Task(), reward=Reward(gathering=0.8, approach=1.0))
     model, starts = falling_robots(robot_model_dir / f"{name}.xml", task, None)
     core = StandUpBatch(model, task, ROBOTS, threads=2)
-    standing = trunk_heights(model, core.batch.robot, task)[1]
-    alone = [Alone(core.batch.robot, start) for start in starts]
+    robot, alone = core.batch.robot, [Alone(core.batch.robot, start) for start in starts]
+    place(model, data := mujoco.MjData(model), robot, *standing(task))
+    mujoco.mj_forward(model, data)
+    mass = data.subtree_com[robot.trunk] - data.xpos[alone[0].feet].mean(axis=0)
+    pose = trunk_heights(model, robot, task)[1], mass[2], data.xmat[alone[0].feet].reshape(-1, 3, 3)[:, 2]
     for index, start in enumerate(starts):
         core.begin(index, start)
     touched = set()
@@ -171,8 +181,8 @@ def test_rewards_are_the_formula_of_the_loop(robot_model_dir, name):
         for i, one in enumerate(alone):
             one.act(action[i], 0.05)
             np.testing.assert_allclose(core.batch.sim.qpos[i], one.data.qpos, rtol=0, atol=1e-9)
-            np.testing.assert_allclose(out.terms[:, i], one.rewards(standing), rtol=0, atol=1e-9)
-            assert out.reward[i] == pytest.approx(sum(one.rewards(standing)), abs=1e-9)
+            np.testing.assert_allclose(out.terms[:, i], one.rewards(*pose), rtol=0, atol=1e-9)
+            assert out.reward[i] == pytest.approx(sum(one.rewards(*pose)), abs=1e-9)
             touched.add(bool(one.contact > 0.0))
     assert touched == {True, False}
     core.close()

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from frasa_rl.config import Task
-from frasa_rl.falls import draw_release, let_go, lowest_point
+from frasa_rl.falls import draw_release, let_go
+from frasa_rl.poses import lowest_point
 from frasa_rl.readings import read
 from frasa_rl.robot import pitch_of
 from frasa_rl.simulation import set_state

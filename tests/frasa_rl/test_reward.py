@@ -36,15 +36,18 @@ def test_self_contact():
     assert reward.self_contact(WEIGHTS, 2.0) == pytest.approx(0.1 * np.exp(-2.0))
 
 
-GUIDED = Reward(rising=0.5, approach=1.0)
+GUIDED = Reward(gathering=0.4, approach=1.0)
 
 
-def test_rising():
-    """All of it high and upright, nothing flat on the back of the head; height and pitch each pay alone."""
-    assert reward.rising(GUIDED, 1.0, 1.0) == pytest.approx(0.5)
-    assert reward.rising(GUIDED, 0.0, 0.0) == 0.0
-    assert reward.rising(GUIDED, 1.0, 0.0) == pytest.approx(0.5 * 0.3)
-    assert reward.rising(GUIDED, 0.0, 1.0) == pytest.approx(0.5 * 0.7 * 0.3)
+def test_gathering():
+    """Full with flat feet under the mass of an upright trunk; each share lost is lost of all."""
+    right = np.array([0.0, 0.0, 1.0])
+    assert reward.gathering(GUIDED, right, 1.0, 0.0) == pytest.approx(0.4)
+    assert reward.gathering(GUIDED, right, 0.5, 0.0) == pytest.approx(0.4 * 0.65)
+    assert reward.gathering(GUIDED, right, 1.0, np.pi / 2) == pytest.approx(0.4 * 0.65)
+    assert reward.gathering(GUIDED, right, 0.0, np.pi) == pytest.approx(0.4 * 0.3 * 0.3)
+    for off in ([0.6, 0.0, 0.0], [0.0, -0.6, 0.0], [0.0, 0.0, -0.6], [0.36, 0.48, 0.0]):
+        assert reward.gathering(GUIDED, right + off, 1.0, 0.0) == pytest.approx(0.4 * np.exp(-0.5))
 
 
 def test_approach():
@@ -101,4 +104,4 @@ def test_a_step_pays_the_sum_of_its_terms(plain_env):
     assert info["terms"]["action"] == pytest.approx(0.10 * np.exp(-0.05 * 2 * np.pi))
     assert info["terms"]["variation"] == pytest.approx(0.05 * np.exp(-0.05 * 2 * np.pi))
     assert set(info["terms"]) == set(reward.TERMS)
-    assert info["terms"]["rising"] == info["terms"]["approach"] == 0.0  # the paper has no such terms
+    assert info["terms"]["gathering"] == info["terms"]["approach"] == 0.0  # the paper has no such terms

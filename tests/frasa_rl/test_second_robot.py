@@ -310,5 +310,5 @@ def test_a_run_keeps_its_task(model_path, task, tmp_path):
     again = plan_of(tmp_path / "run")
     assert again == plan
     own = {name: getattr(settings, name) for name in ("near_target_share", "falling_share", "end_gyro")}
-    reward = replace(task.reward, rising=settings.rising, approach=settings.approach)
+    reward = settings.reward(task.reward)
     assert again.task == with_physics(replace(task, reward=reward, **own), settings.physics)

@@ -196,7 +196,7 @@ def test_shares_of_starts_are_the_presets_unless_the_file_says_so(write):
         args = argparse.Namespace(task=write(text) if text else None, compat=compat, preset="quick")
         task, settings = _task_and_settings(argparse.Namespace(**vars(args), **dict.fromkeys(_SETTINGS), set=None))
         assert (task.near_target_share, task.falling_share) == (settings.near_target_share, settings.falling_share)
-        assert (task.end_gyro, task.reward.rising) == (settings.end_gyro, settings.rising)
+        assert (task.end_gyro, task.reward.gathering) == (settings.end_gyro, settings.gathering)
         return task
 
     quick = PRESETS["quick"]
