@@ -19,7 +19,7 @@ def add_support(spec: mujoco.MjSpec, model: mujoco.MjModel, task: Task) -> None:
 
     Args:
         spec: to add them to.
-        model: compiled from it.
+        model: compiled from it, just now.
         task: the standing pose.
 
     Raises:
@@ -28,7 +28,7 @@ def add_support(spec: mujoco.MjSpec, model: mujoco.MjModel, task: Task) -> None:
     robot = find_robot(model, task)
     wanted = [(mujoco.mjtSensor.mjSENS_SUBTREECOM, mujoco.mjtObj.mjOBJ_BODY, model.body(robot.trunk).name)]
     for number, index in enumerate(feet(model, robot, task), start=1):
-        foot = spec.bodies[index]
+        foot = next(body for body in spec.bodies if body.id == index)
         foot.name = foot.name or f"frasa_foot_{number}"
         for kind in (mujoco.mjtSensor.mjSENS_FRAMEPOS, mujoco.mjtSensor.mjSENS_FRAMEQUAT):
             wanted.append((kind, mujoco.mjtObj.mjOBJ_XBODY, foot.name))

@@ -13,6 +13,7 @@ from frasa_rl.poses import place, standing
 from frasa_rl.robot import find_robot
 from frasa_rl.simulation import Start, state_of
 from frasa_rl.support import Support, feet
+from frasa_rl.task_file import load_task
 from frasa_rl.task_model import build_model
 from frasa_sysid.calibration import hold_history
 
@@ -29,6 +30,15 @@ def test_the_feet_are_what_it_stands_on(model):
     names = [model.body(one).name for one in feet(model, find_robot(model, TASK), TASK)]
     assert len(names) == 8
     assert all("_cleat_" in name for name in names)
+
+
+def test_the_feet_of_another_robot(robot_model_dir):
+    """Of which nobody said what its feet are called."""
+    folder = robot_model_dir / "small_humanoid"
+    own = load_task(folder / "standup.yaml")
+    task = replace(own, reward=replace(own.reward, gathering=1.0))
+    other = build_model(folder / "small_humanoid.xml", task)
+    assert {other.body(one).name for one in feet(other, find_robot(other, task), task)} == {"FootL", "FootR"}
 
 
 def test_no_sensor_unless_the_task_asks(robot_model_dir):
