@@ -81,10 +81,21 @@ def test_a_run_leaves_everything_behind(plan, algorithm, overlap):
     assert list((plan.out / "tensorboard").iterdir())
 
 
+def test_the_published_policy_is_the_mean_of_the_last_updates(plan):
+    """Not the newest actor; and a run that is resumed has the same mean."""
+    train(plan)
+    loop = loaded(plan)
+    observations = loop.replay.draw(1, 200).observations[0]
+    published = Policy.load(plan.out / "latest").act(observations)
+    np.testing.assert_array_equal(loop.policy({}).act(observations), published)
+    assert np.abs(loop.learner.actor().policy({}).act(observations) - published).max() > 1e-4
+    loop.close()
+
+
 @pytest.mark.parametrize("algorithm", ["crossq", "sac"])
 def test_the_plain_policy_acts_like_the_learner(plan, algorithm):
     """Folding the normalisation into the layers changes no action by more than 1e-5, nor the noise that is added."""
-    plan = replace(plan, settings=replace(TINY, algorithm=algorithm))
+    plan = replace(plan, settings=replace(TINY, algorithm=algorithm, average=0))
     train(plan)
     loop = loaded(plan)
     observations = loop.replay.draw(1, 200).observations[0]
