@@ -15,7 +15,9 @@ def standing(task: Task) -> tuple[Floats, float]:
 def place(
     model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, joints: Floats, pitch: float, gap: float = 0.0
 ) -> None:
-    """Put the robot in a pose, nothing moving, and compute where its parts are.
+    """Put the robot in a pose on the floor, nothing moving: `qpos` and `ctrl`.
+
+    What MuJoCo computes from `qpos` is not up to date afterwards: its heights differ by one number for all parts.
 
     Args:
         model: any of the robot's.

@@ -17,7 +17,7 @@ of 0 unless a training preset says otherwise, lead there:
 h is the height of the trunk, u and v how upright it is (v without a peak), f how flat the feet are, from 0 to 1. They
 know where standing is and nothing of the way: no expert, no key pose. What has its mass above flat feet is on its way
 up, from the front and from the back; paid for height and an upright trunk alone, robots sit with their legs out, kneel
-or bridge, and stay so. What the terms change is measured in `tests/benchmarks/bench_recipe.py`.
+or bridge, and stay so. `tests/benchmarks/bench_recipe.py` has training without each of them.
 """
 
 import numpy as np

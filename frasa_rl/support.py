@@ -39,8 +39,7 @@ def add_support(spec: mujoco.MjSpec, model: mujoco.MjModel, task: Task) -> None:
 def feet(model: mujoco.MjModel, robot: Robot, task: Task) -> list[int]:
     """The bodies that the robot stands on."""
     data = mujoco.MjData(model)
-    place(model, data, robot, *standing(task))
-    mujoco.mj_kinematics(model, data)
+    place(model, data, robot, *standing(task))  # its heights are off by as much for all bodies
     bodies = np.unique(model.geom_bodyid[model.body_rootid[model.geom_bodyid] == robot.trunk])
     lowest = np.array([lowest_point(model, data, robot, body) for body in bodies])
     return [int(one) for one in bodies[lowest < lowest.min() + _SAME_HEIGHT]]
