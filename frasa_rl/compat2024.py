@@ -60,6 +60,7 @@ def compat_task(task: Task) -> Task:
         compat="frasa2024",
         physics=physics,
         near_target_share=NEAR_SHARE,
+        near_target_push=0.0,
         falling_share=0.0,
         end_gyro=Task().end_gyro,
         reward=reward,

@@ -39,6 +39,7 @@ class Task:
         end_gyro: and beyond this pitch rate [rad/s].
         near_target_share: share of the starts that are near the standing pose (p_s of the paper).
         near_target_spread: half-width of the joint offsets of such a start [rad].
+        near_target_push: and of the speed that a push at the trunk gives its centre of mass, forward or back [m/s].
         falling_share: share of the starts somewhere between the standing pose and a random one, still falling.
         falling_s: how long such a robot has been falling [s]; longer than any delay.
         start_pitch_deg: half-width of the trunk pitch of all other starts [deg].
@@ -74,6 +75,7 @@ class Task:
     end_gyro: float = 5.0
     near_target_share: float = 0.10
     near_target_spread: float = 0.10
+    near_target_push: float = 0.0
     falling_share: float = 0.0
     falling_s: float = 0.10
     start_pitch_deg: float = 90.0
@@ -138,6 +140,7 @@ _BOUNDS = {
     "end_gyro": (0.0, 1e3, "rad/s"),
     "near_target_share": (0.0, 1.0, ""),
     "near_target_spread": (0.0, pi, "rad"),
+    "near_target_push": (0.0, 10.0, "m/s"),
     "falling_share": (0.0, 1.0, ""),
     "start_pitch_deg": (0.0, 180.0, "deg"),
     "release_height": (0.0, 1.0, "m"),

@@ -14,7 +14,7 @@ from numpy.random import Generator
 from frasa_rl.config import Task
 from frasa_rl.poses import place, standing
 from frasa_rl.robot import Floats, Robot, pitch_of
-from frasa_rl.simulation import Start, fresh, state_of
+from frasa_rl.simulation import Start, fresh, set_state, state_of
 from frasa_sysid.calibration import hold_history
 
 Kind = Literal["any", "random", "prone", "supine", "target", "falling"]
@@ -92,6 +92,31 @@ def let_go(
     hold_history(model, data)
     ages = fresh(model)
     return Start(model, state_of(model, data), data.ctrl.copy(), data.sensordata.copy(), ages, drawn, kind=how.kind)
+
+
+def pushed(
+    model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, task: Task, state: Floats, rng: Generator
+) -> Floats:
+    """A state right after a push at the trunk's centre of mass, forward or back, as hard as the task says.
+
+    The momentum is the whole robot's mass times the drawn speed. Until the next step the floor does not push back.
+
+    Args:
+        model: the robot's own.
+        data: of the same sizes, overwritten.
+        robot: where things are.
+        task: the largest speed.
+        state: before.
+        rng: draws the speed.
+    """
+    set_state(model, data, state)
+    momentum = rng.uniform(-task.near_target_push, task.near_target_push) * model.body_subtreemass[robot.trunk]
+    force, change = np.zeros(model.nv), np.zeros(model.nv)
+    mujoco.mj_applyFT(model, data, [momentum, 0, 0], np.zeros(3), data.xipos[robot.trunk], robot.trunk, force)
+    mujoco.mj_solveM(model, data, change[None], force[None])
+    after = state.copy()
+    after[1 + model.nq : 1 + model.nq + model.nv] += change
+    return after
 
 
 def as_asked(robot: Robot, state: Floats, task: Task, kind: Kind) -> bool:

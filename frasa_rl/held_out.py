@@ -55,8 +55,8 @@ class HeldOut:
 
     def __init__(self, model: Path, task: Task, falls: int, physics: str) -> None:
         stepped = with_physics(own_physics(task), physics)
-        # Shares of starts are training's: without them the same falls are found in the cache for all of them.
-        self._task = replace(stepped, near_target_share=0.0, falling_share=0.0)
+        # Which starts it has is training's: without that the same falls are found in the cache for all.
+        self._task = replace(stepped, near_target_share=0.0, near_target_push=0.0, falling_share=0.0)
         self._falls = Falls(model, self._task, randomize=True)
         self._calibration = load_calibration(model)
         self._kinds: list[Kind] = [side for side in SIDES for _ in range(falls)]

@@ -56,6 +56,7 @@ class Plan:
         task = replace(
             self.task,
             near_target_share=own.near_target_share,
+            near_target_push=own.near_target_push,
             falling_share=own.falling_share,
             end_gyro=own.end_gyro,
             reward=own.reward(self.task.reward),

@@ -38,6 +38,7 @@ class Settings:
         physics: how the simulation steps, a name of `frasa_rl.physics`; what the task says itself stays.
         pool: settled starts to choose from, each with a robot of its own.
         near_target_share: share of the starts near the standing pose, in place of the task's.
+        near_target_push: such a robot is pushed, up to this speed of its centre of mass [m/s], in place of the task's.
         falling_share: share of the starts between that pose and a random one, still falling.
         gathering, approach: weights of the two terms that lead to the standing pose (`reward`), in place of the task's.
         end_gyro: an episode ends beyond this pitch rate [rad/s], in place of the task's.
@@ -73,6 +74,7 @@ class Settings:
     physics: str = "fast"
     pool: int = 512
     near_target_share: float = 0.15
+    near_target_push: float = 0.6
     falling_share: float = 0.45
     gathering: float = 1.5
     approach: float = 3.0
@@ -132,6 +134,7 @@ _WITHIN = {
     "entropy": (1e-9, 1e3),
     "target_entropy": (-1e2, 1e2),
     "near_target_share": (0.0, 1.0),
+    "near_target_push": (0.0, 10.0),
     "falling_share": (0.0, 1.0),
     "gathering": (0.0, 1e4),
     "approach": (0.0, 1e4),
@@ -159,6 +162,7 @@ PRESETS = {
         target_entropy=-1.0,
         average=0,
         near_target_share=0.10,
+        near_target_push=0.0,
         physics="model",
         falling_share=0.0,
         gathering=0.0,

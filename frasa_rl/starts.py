@@ -11,7 +11,7 @@ from numpy.random import Generator
 
 from frasa_rl.compat2024 import CompatStarts, Draw
 from frasa_rl.config import Task
-from frasa_rl.falls import Kind, as_asked, draw_release, let_go
+from frasa_rl.falls import Kind, as_asked, draw_release, let_go, pushed
 from frasa_rl.randomize import Randomizer
 from frasa_rl.robot import Robot, find_robot
 from frasa_rl.simulation import Simulation, Start
@@ -152,4 +152,7 @@ class _Try:
         state = sim.state[slot].copy()
         if sim.diverged[slot] or not as_asked(self._maker.robot, state, self._maker.task, self._kind):
             return None
+        if self._start.kind == "target" and self._maker.task.near_target_push:
+            maker = self._maker
+            state = pushed(self._start.model, maker._data, maker.robot, maker.task, state, self._rng)
         return replace(self._start, state=state, sensors=sim.sensors[slot].copy(), older=sim.older[slot].copy())

@@ -92,6 +92,7 @@ def _task_and_settings(args: argparse.Namespace) -> tuple[Task, Settings]:
     task = replace(
         Task(),
         near_target_share=settings.near_target_share,
+        near_target_push=settings.near_target_push,
         falling_share=settings.falling_share,
         end_gyro=settings.end_gyro,
         reward=settings.reward(Task().reward),
@@ -103,6 +104,7 @@ def _task_and_settings(args: argparse.Namespace) -> tuple[Task, Settings]:
     return task, replace(
         settings,
         near_target_share=task.near_target_share,
+        near_target_push=task.near_target_push,
         falling_share=task.falling_share,
         end_gyro=task.end_gyro,
         gathering=task.reward.gathering,

@@ -94,6 +94,11 @@ class Sbx:
         print(json.dumps([batch, pi, qf, updates]), file=self.process.stdin, flush=True)
         return json.loads(self.process.stdout.readline())
 
+    def close(self) -> None:
+        """End the process."""
+        self.process.stdin.close()
+        self.process.wait()
+
 
 def batches_of(count: int, size: int):
     """Random batches for `update`."""
@@ -189,6 +194,30 @@ def _rounds(runs: dict[str, Callable[[], list[float]]], rounds: int) -> dict[str
     return {name: np.array(found).T for name, found in times.items()}
 
 
+def table(sizes: tuple, rounds: int, others: dict[str, Sbx]) -> None:
+    """Measure all contenders at one size, and print it."""
+    times, operations = measure(sizes, rounds, others)
+    batch, pi, qf = sizes
+    print(f"\nbatch {batch}, policy {pi}, critics {qf}: {operations:.0f} million operations an update")
+    print(f"{'':30} best/s  median/s   best us   CPU us   x sb3-contrib: best, median, CPU")
+    reference, floor = times["sb3-contrib train, 1 thread"], times["products alone, 1 thread"].min(axis=1)
+    for name, found in times.items():
+        (best, busy), middle = found.min(axis=1), float(np.median(found[0]))
+        ratios = [reference[0].min() / best, np.median(reference[0] / found[0]), reference[1].min() / busy]
+        print(f"{name:30}{1 / best:7.0f} {1 / middle:9.0f} {best * 1e6:9.0f} {busy * 1e6:8.0f}", end="   ")
+        print("".join(f"{ratio:9.2f}" for ratio in ratios))
+    shares = floor / times["ours update, 1 thread"].min(axis=1)
+    print(f"products alone: {operations / floor[1] / 1e3:.0f} GFLOP/s of CPU time, {shares[1]:.0%} of our update's")
+
+
+def sbx_of(python: str | None) -> dict[str, Sbx]:
+    """SBX on one core and on two, where there is a Python for it."""
+    if python is None:
+        print("SBX is left out: no --sbx-python was given")
+        return {}
+    return {f"SBX train, {n} thread{'s' * (n > 1)}": Sbx(python, n) for n in (1, 2)}
+
+
 def main() -> None:
     """Print a table for each size."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -199,29 +228,14 @@ def main() -> None:
     if given.serve_sbx:
         serve_sbx()
         return
-    others = {}
-    if given.sbx_python:
-        others = {f"SBX train, {n} thread{'s' * (n > 1)}": Sbx(given.sbx_python, n) for n in (1, 2)}
-    else:
-        print("SBX is left out: no --sbx-python was given")
+    others = sbx_of(given.sbx_python)
     model = next((line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")), "")
     print(
         f"{model.partition(': ')[2] or platform.processor()}, {os.cpu_count()} cores, {given.rounds} rounds;", end=" "
     )
     print(f"load of the machine before: {os.getloadavg()[0]:.1f} (1 is one core busy with other work)")
     for sizes in SIZES:
-        times, operations = measure(sizes, given.rounds, others)
-        batch, pi, qf = sizes
-        print(f"\nbatch {batch}, policy {pi}, critics {qf}: {operations:.0f} million operations an update")
-        print(f"{'':30} best/s  median/s   best us   CPU us   x sb3-contrib: best, median, CPU")
-        reference, floor = times["sb3-contrib train, 1 thread"], times["products alone, 1 thread"].min(axis=1)
-        for name, found in times.items():
-            (best, busy), middle = found.min(axis=1), float(np.median(found[0]))
-            ratios = [reference[0].min() / best, np.median(reference[0] / found[0]), reference[1].min() / busy]
-            print(f"{name:30}{1 / best:7.0f} {1 / middle:9.0f} {best * 1e6:9.0f} {busy * 1e6:8.0f}", end="   ")
-            print("".join(f"{ratio:9.2f}" for ratio in ratios))
-        shares = floor / times["ours update, 1 thread"].min(axis=1)
-        print(f"products alone: {operations / floor[1] / 1e3:.0f} GFLOP/s of CPU time, {shares[1]:.0%} of our update's")
+        table(sizes, given.rounds, others)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
 """What makes the robot stand sooner: variants of the recipe, several seeds each, wall clock and work side by side.
 
-    python tests/benchmarks/bench_recipe.py train OUT [--only NAME ...] [--seeds 5] [--minutes 30] [--jobs 1]
+    python tests/benchmarks/bench_recipe.py train OUT [--only NAME ...] [--seeds 5] [--minutes 30] [--steps N]
     python tests/benchmarks/bench_recipe.py report OUT [--write tests/benchmarks/results]
 
 `train` runs one `frasa-rl sweep` a variant into OUT/NAME, each agent until 90 % of the held-out falls end standing in
-two evaluations or its minutes are over; called again it goes on where it was. `report` reads every run folder below
-OUT/NAME, whoever made it, prints the table, and with `--write` leaves recipe.csv (all evaluations of all runs) and
-recipe.png. Steps and updates to a success do not depend on the machine; minutes are those of the run, and only
+two evaluations or its minutes or steps are over; called again it goes on where it was. `report` reads every run folder
+below OUT/NAME, whoever made it, prints the table, and with `--write` leaves recipe.csv (all evaluations of all runs)
+and recipe.png. Steps and updates to a success do not depend on the machine; minutes are those of the run, and only
 comparable between runs that had the machine to themselves, or shared it in the same way: see how they were made.
 """
 
@@ -27,7 +27,8 @@ from frasa_rl.tables import EVALUATIONS, PROGRESS
 BASE = {
     "updates_per_step": "0.5", "batch": "128", "actor": "128,128", "critic": "128,128", "n_step": "3",
     "discount": "0.99", "entropy": "0.1", "target_entropy": "-1.6", "average": "4000", "end_gyro": "15",
-    "near_target_share": "0.15", "falling_share": "0.45", "gathering": "1.5", "approach": "3", "noise_correlation": "0",
+    "near_target_share": "0.15", "near_target_push": "0",
+    "falling_share": "0.45", "gathering": "1.5", "approach": "3", "noise_correlation": "0",
     "weight_norm": "false", "envs": "64", "learning_starts": "5000", "physics": "fast",
 }  # fmt: skip
 VARIANTS: dict[str, dict[str, str]] = {
@@ -93,11 +94,10 @@ def variants(out: Path) -> dict[str, list[Run]]:
     return dict(sorted(found.items(), key=lambda one: (one[0] != "base", one[0])))
 
 
-def train(out: Path, names: Iterable[str], seeds: int, minutes: float, jobs: int) -> None:
+def train(out: Path, names: Iterable[str], seeds: int, ends: list[str], jobs: int) -> None:
     """A sweep each, one after the other."""
     for name in names:
         there = (out / name / "sweep.json").is_file()
-        ends = ["--minutes", f"{minutes:g}", "--until-success", str(SHARES[-1])]
         sets = [part for item in {**BASE, **VARIANTS[name]}.items() for part in ("--set", "=".join(item))]
         where = ["--resume", str(out / name)] if there else ["--out", str(out / name), *sets]
         command = [sys.executable, "-m", "frasa_rl.cli", "sweep", "--seeds", str(seeds), "--jobs", str(jobs)]
@@ -169,11 +169,14 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=tuple(VARIANTS), default=tuple(VARIANTS))
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--minutes", type=float, default=30.0)
+    parser.add_argument("--steps", type=int, help="transitions a run ends at (default: only the minutes count)")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--write", type=Path, help="folder for recipe.csv and recipe.png")
     given = parser.parse_args()
     if given.what == "train":
-        train(given.out, given.only, given.seeds, given.minutes, given.jobs)
+        ends = ["--minutes", f"{given.minutes:g}", "--until-success", str(SHARES[-1])]
+        ends += ["--steps", str(given.steps)] if given.steps else []
+        train(given.out, given.only, given.seeds, ends, given.jobs)
     found = variants(given.out)
     if not found:
         sys.exit(f"{given.out}: no run folders with evaluations in folders below it")

@@ -1,12 +1,15 @@
-"""Training end to end: our loop against sb3-contrib's CrossQ on our environments, in one run.
+"""Training: updates of ours, sb3-contrib's and SBX's CrossQ, steps of the environments, and both together, in one run.
 
     python tests/benchmarks/bench_training.py [--model robot_model/calibrated.xml] [--rounds 3] [--transitions 4096]
+        [--sbx-python PATH]
 
-All learn the same task with the same sizes, physics and updates a transition (the `quick` preset; rewards are summed
-over one step, as sb3-contrib does). "One robot" is how the published trainer gathers: a Gymnasium environment and SB3's
-own loop; "robots together" gives SB3 our `StandUpVecEnv`. Ours is what `frasa-rl train` runs, a round after the other:
-its steps a second hold stepping, replay, updates and waiting. Parts of a round are timed alone as well, so that it can
-be seen what bounds it. Rounds are interleaved; ratios are medians of those of each round.
+First the updates alone at the sizes of the `quick` preset, as `bench_learner.py` measures them (SBX where there is a
+Python for it). Then the whole: all learn the same task with the same sizes, physics and updates a transition (the
+`quick` preset; rewards are summed over one step, as sb3-contrib does). "One robot" is how the published trainer
+gathers: a Gymnasium environment and SB3's own loop; "robots together" gives SB3 our `StandUpVecEnv`. Ours is what
+`frasa-rl train` runs, a round after the other: its steps a second hold stepping, replay, updates and waiting. Parts of
+a round are timed alone as well, so that it can be seen what bounds it. Rounds are interleaved; ratios are medians of
+those of each round.
 """
 
 import argparse
@@ -19,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from bench_learner import sbx_of, table
 from sb3_contrib import CrossQ
 from stable_baselines3.common.logger import Logger
 
@@ -99,7 +103,14 @@ def main() -> None:
     parser.add_argument("--model", type=Path, default=Path("robot_model/calibrated.xml"))
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--transitions", type=int, default=4096)
+    parser.add_argument("--sbx-python", help="a Python that has sbx-rl")
     given = parser.parse_args()
+    others = sbx_of(given.sbx_python)
+    own = PRESETS["quick"]
+    table((own.batch, own.actor, own.critic), given.rounds, others)
+    for one in others.values():
+        one.close()
+    print()
     torch.set_num_threads(1)
     plan = Plan(given.model, Path(tempfile.mkdtemp()), settings_of(), steps=1)
     ours, half = Ours(plan), given.transitions // 4

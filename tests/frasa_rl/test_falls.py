@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from frasa_rl.config import Task
-from frasa_rl.falls import draw_release, let_go
+from frasa_rl.falls import draw_release, let_go, pushed
 from frasa_rl.poses import lowest_point
 from frasa_rl.readings import read
 from frasa_rl.robot import pitch_of
-from frasa_rl.simulation import set_state
+from frasa_rl.simulation import set_state, state_of
 from frasa_rl.standup_env import StandUp
+from frasa_rl.starts import StartMaker
 
 
 def pitch_deg(env):
@@ -76,6 +77,44 @@ def test_falling_starts_reach_from_standing_to_anything(env):
     assert away.max() > 70.0
     assert {one.settle_s for one in starts} == {task.falling_s}
     assert task.falling_s > env._maker.original.sensor_delay.max() > 0.0
+
+
+def test_a_push_is_a_momentum_at_the_trunk(env):
+    """Its centre of mass moves as fast as drawn, forward or back, nothing is moved yet; without one nothing changes."""
+    model, data = released(
+        env, draw_release(env.robot, replace(env.task, near_target_share=1.0), np.random.default_rng(4))
+    )
+    state = state_of(model, data)
+    speeds = []
+    for seed in range(40):
+        task = replace(env.task, near_target_push=0.5)
+        after = pushed(model, mujoco.MjData(model), env.robot, task, state, np.random.default_rng(seed))
+        set_state(model, data, after)
+        mujoco.mj_subtreeVel(model, data)
+        speeds.append(data.subtree_linvel[env.robot.trunk].copy())
+        moved = slice(1 + model.nq, 1 + model.nq + model.nv)
+        np.testing.assert_array_equal(np.delete(after, moved), np.delete(state, moved))
+    forward, *aside = np.array(speeds).T
+    np.testing.assert_allclose(aside, 0.0, atol=1e-9)
+    np.testing.assert_allclose([forward.min(), forward.max()], [-0.5, 0.5], atol=0.06)
+    # The trunk is above the centre of mass: a push tips it over forward as it moves forward.
+    set_state(model, data, after)
+    assert np.sign(data.qvel[env.robot.root_dof + 4]) == np.sign(forward[-1])
+
+
+def test_only_starts_near_the_pose_are_pushed(env):
+    """Robots that lie or fall start as they did."""
+    task = replace(env.task, near_target_share=0.4, falling_share=0.3)
+    still, moving = (
+        StartMaker(env._maker.original, replace(task, near_target_push=push), None, randomize=False)
+        for push in (0.0, 0.5)
+    )
+    rngs = [[np.random.default_rng(seed) for seed in range(12)] for _ in range(2)]
+    both = [maker.make(own, ["any"] * 12) for maker, own in zip((still, moving), rngs, strict=True)]
+    kinds = [one.kind for one in both[0]]
+    assert set(kinds) == {"target", "falling", "random"}
+    for before, after in zip(*both, strict=True):
+        assert np.array_equal(before.state, after.state) == (after.kind != "target")
 
 
 def test_the_first_observation_is_of_a_robot_at_rest(env):

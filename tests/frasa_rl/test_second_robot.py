@@ -309,6 +309,8 @@ def test_a_run_keeps_its_task(model_path, task, tmp_path):
     assert train(plan)["updates"] > 0
     again = plan_of(tmp_path / "run")
     assert again == plan
-    own = {name: getattr(settings, name) for name in ("near_target_share", "falling_share", "end_gyro")}
+    own = {
+        name: getattr(settings, name) for name in ("near_target_share", "near_target_push", "falling_share", "end_gyro")
+    }
     reward = settings.reward(task.reward)
     assert again.task == with_physics(replace(task, reward=reward, **own), settings.physics)

@@ -196,6 +196,7 @@ def test_shares_of_starts_are_the_presets_unless_the_file_says_so(write):
         args = argparse.Namespace(task=write(text) if text else None, compat=compat, preset="quick")
         task, settings = _task_and_settings(argparse.Namespace(**vars(args), **dict.fromkeys(_SETTINGS), set=None))
         assert (task.near_target_share, task.falling_share) == (settings.near_target_share, settings.falling_share)
+        assert task.near_target_push == settings.near_target_push
         assert (task.end_gyro, task.reward.gathering) == (settings.end_gyro, settings.gathering)
         return task
 
@@ -207,6 +208,7 @@ def test_shares_of_starts_are_the_presets_unless_the_file_says_so(write):
     assert chosen("reward: {approach: 0.5}").reward.approach == 0.5
     published = chosen("", "frasa2024")
     assert (published.falling_share, published.end_gyro, published.reward.approach) == (0.0, 5.0, 0.0)
+    assert published.near_target_push == 0.0
 
 
 def test_training_as_the_published_environment_does(nominal, tmp_path, monkeypatch):
