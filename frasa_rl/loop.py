@@ -42,14 +42,15 @@ class Loop:
         self.steps = 0
         self._settings = settings
         self._average = Average(settings.average)
-        self._average.follow(learner.actor(), 0)
+        self._actor = learner.actor()  # folded once for robots and average: on a GPU it is a synchronisation
+        self._average.follow(self._actor, 0)
         self._beside = ThreadPoolExecutor(1, "collector")
 
     def round(self) -> Round:
         """Gather a round's transitions, and make its updates once there is enough to learn from."""
         steps, updates = self._settings.rounds
         starting = self.steps < self._settings.learning_starts
-        actor = None if starting else self.learner.actor()
+        actor = None if starting else self._actor
         if self._settings.overlap and not starting and len(self.replay):
             gathering = self._beside.submit(self.collector.collect, actor, steps)
             try:
@@ -70,7 +71,8 @@ class Loop:
         while updates > 0:
             many = min(updates, _AT_ONCE)
             self.learner.update(self.replay.draw(many, self._settings.batch))
-            self._average.follow(self.learner.actor(), many)
+            self._actor = self.learner.actor()
+            self._average.follow(self._actor, many)
             updates -= many
 
     def _keep(self, got: Round) -> None:
@@ -101,6 +103,7 @@ class Loop:
         self.collector.restore(part("collector", kept))
         self.replay.restore(part("replay", kept))
         self.learner.restore(part("learner", kept))
+        self._actor = self.learner.actor()
         self._average.restore(part("average", kept))
         self.steps = int(kept["steps"])
 
