@@ -73,8 +73,8 @@ class Settings:
     renorm_warmup: int = 20_000
     physics: str = "fast"
     pool: int = 512
-    near_target_share: float = 0.15
-    near_target_push: float = 0.6
+    near_target_share: float = 0.20
+    near_target_push: float = 0.45
     falling_share: float = 0.45
     gathering: float = 1.5
     approach: float = 3.0
