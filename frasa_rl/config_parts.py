@@ -118,7 +118,7 @@ class Reward:
             own (Settings).
         approach: weight of the standing pose from further away, once the trunk is high and upright; likewise.
         posture_slope: slope of the posture term [1/rad^2].
-        approach_slope: smaller slope of the approach term, the other is four times as large [1/rad^2].
+        approach_slope: smallest slope of the approach term, the others are 4 and 32 times as large [1/rad^2].
         action_slope: slope of the action and variation terms [s/rad].
         contact_slope: slope of the self-contact term [1/N].
     """

@@ -12,7 +12,7 @@ of 0 unless a training preset says otherwise, lead there:
 
     gathering     exp(-|c - c*|^2 / 0.72) (0.3 + 0.7 f) (0.3 + 0.7 v)     c: centre of mass seen from the feet, as a
                                                                   share of its height when standing (c* = 0, 0, 1)
-    approach      h u (exp(-2 |psi - psi*|^2) + exp(-8 |psi - psi*|^2)) / 2
+    approach      h u (exp(-2 |psi - psi*|^2) + exp(-8 |psi - psi*|^2) + exp(-64 |psi - psi*|^2)) / 3
 
 h is the height of the trunk, u and v how upright it is (v without a peak), f how flat the feet are, from 0 to 1. They
 know where standing is and nothing of the way: no expert, no key pose. What has its mass above flat feet is on its way
@@ -101,7 +101,8 @@ def gathering(weights: Reward, above: Floats, flat: Floats, pitch_error: Floats)
 def approach(weights: Reward, high: Floats, upright: Floats, error: Floats) -> Floats:
     """Largest in the standing pose, felt from further away than the posture term; errors of shape (..., 6).
 
-    Of two widths, so that no pose half a radian off looks like the end of the way.
+    Of three widths: no pose half a radian off looks like the end of the way, and none that is 6 deg off either.
     """
     square = weights.approach_slope * np.sum(error**2, axis=-1)
-    return np.asarray(weights.approach * high * upright * (np.exp(-square) + np.exp(-4.0 * square)) / 2.0)
+    wide, middle, narrow = (np.exp(-factor * square) for factor in (1.0, 4.0, 32.0))
+    return np.asarray(weights.approach * high * upright * (wide + middle + narrow) / 3.0)

@@ -77,7 +77,7 @@ class Settings:
     near_target_push: float = 0.45
     falling_share: float = 0.45
     gathering: float = 1.5
-    approach: float = 3.0
+    approach: float = 4.5
     end_gyro: float = 15.0
     evaluate_steps: int = 50_000
     evaluate_falls: int = 32

@@ -28,7 +28,7 @@ BASE = {
     "updates_per_step": "0.5", "batch": "128", "actor": "128,128", "critic": "128,128", "n_step": "3",
     "discount": "0.99", "entropy": "0.1", "target_entropy": "-1.6", "average": "4000", "end_gyro": "15",
     "near_target_share": "0.2", "near_target_push": "0.45",
-    "falling_share": "0.45", "gathering": "1.5", "approach": "3", "noise_correlation": "0",
+    "falling_share": "0.45", "gathering": "1.5", "approach": "4.5", "noise_correlation": "0",
     "weight_norm": "false", "envs": "64", "learning_starts": "5000", "physics": "fast",
 }  # fmt: skip
 VARIANTS: dict[str, dict[str, str]] = {

@@ -51,10 +51,11 @@ def test_gathering():
 
 
 def test_approach():
-    """h u (exp(-2 |e|^2) + exp(-8 |e|^2)) / 2: felt half a radian away, where the posture term is under a hundredth."""
+    """Means of exp(-2 k |e|^2), k 1, 4, 32, times h u: felt half a radian away, where posture is hardly."""
     error = np.array([0.5, 0, 0, 0, 0, 0])
-    assert reward.approach(GUIDED, 1.0, 1.0, error) == pytest.approx((np.exp(-0.5) + np.exp(-2.0)) / 2)
-    assert reward.approach(GUIDED, 0.5, 0.5, error) == pytest.approx(0.25 * (np.exp(-0.5) + np.exp(-2.0)) / 2)
+    mean = (np.exp(-0.5) + np.exp(-2.0) + np.exp(-16.0)) / 3
+    assert reward.approach(GUIDED, 1.0, 1.0, error) == pytest.approx(mean)
+    assert reward.approach(GUIDED, 0.5, 0.5, error) == pytest.approx(0.25 * mean)
     assert reward.posture(GUIDED, error) < 0.01
 
 
