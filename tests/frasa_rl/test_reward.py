@@ -51,11 +51,14 @@ def test_gathering():
 
 
 def test_approach():
-    """Means of exp(-2 k |e|^2), k 1, 4, 32, times h u: felt half a radian away, where posture is hardly."""
+    """Means of exp(-2 k |e|^2), k 1, 4, 32, times h u: felt half a radian away, where posture is hardly; and stillness."""
     error = np.array([0.5, 0, 0, 0, 0, 0])
     mean = (np.exp(-0.5) + np.exp(-2.0) + np.exp(-16.0)) / 3
-    assert reward.approach(GUIDED, 1.0, 1.0, error) == pytest.approx(mean)
-    assert reward.approach(GUIDED, 0.5, 0.5, error) == pytest.approx(0.25 * mean)
+    still = np.zeros(5)
+    assert reward.approach(GUIDED, 1.0, 1.0, error, still) == pytest.approx(mean)
+    assert reward.approach(GUIDED, 0.5, 0.5, error, still) == pytest.approx(0.25 * mean)
+    moving = np.array([0.0, 0.0, 3.0, 0.0, 4.0])
+    assert reward.approach(GUIDED, 1.0, 1.0, 0.0 * error, moving) == pytest.approx((2.0 + np.exp(-5.0)) / 3)
     assert reward.posture(GUIDED, error) < 0.01
 
 
