@@ -51,7 +51,7 @@ def test_gathering():
 
 
 def test_approach():
-    """Means of exp(-2 k |e|^2), k 1, 4, 32, times h u: felt half a radian away, where posture is hardly; and stillness."""
+    """Means of exp(-2 k |e|^2), k 1, 4, 32, times h u: felt half a radian away; and stillness."""
     error = np.array([0.5, 0, 0, 0, 0, 0])
     mean = (np.exp(-0.5) + np.exp(-2.0) + np.exp(-16.0)) / 3
     still = np.zeros(5)
