@@ -133,7 +133,7 @@ class StandUpBatch:
                 reward.variation(weights, self._last * limit, previous * limit),
                 reward.self_contact(weights, self.batch.now.contact),
                 self._gathering(errors[:, -1]),
-                reward.approach(weights, high, upright, errors, self._last * limit),
+                reward.approach(weights, high, upright, errors, self._last),
             ]
         )
 

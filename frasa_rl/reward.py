@@ -12,7 +12,8 @@ of 0 unless a training preset says otherwise, lead there:
 
     gathering     exp(-|c - c*|^2 / 0.72) (0.3 + 0.7 f) (0.3 + 0.7 v)     c: centre of mass seen from the feet, as a
                                                                   share of its height when standing (c* = 0, 0, 1)
-    approach      h u (exp(-2 e) + exp(-8 e) + exp(-64 e) exp(-|a|)) / 3      e: |psi - psi*|^2
+    approach      h u (exp(-2 e) + exp(-8 e) + exp(-64 e) (1 - b)) / 3      e: |psi - psi*|^2, b: a's root
+                                                                  mean square, as a share of the largest rate
 
 h is the height of the trunk, u and v how upright it is (v without a peak), f how flat the feet are, from 0 to 1. They
 know where standing is and nothing of the way: no expert, no key pose. What has its mass above flat feet is on its way
@@ -98,21 +99,21 @@ def gathering(weights: Reward, above: Floats, flat: Floats, pitch_error: Floats)
     return np.asarray(weights.gathering * near * (0.3 + 0.7 * flat) * (0.3 + 0.7 * upright))
 
 
-def approach(weights: Reward, high: Floats, upright: Floats, error: Floats, rates: Floats) -> Floats:
+def approach(weights: Reward, high: Floats, upright: Floats, error: Floats, shares: Floats) -> Floats:
     """Largest standing still in the standing pose, felt from further away than the posture term.
 
     Of three widths: no pose half a radian off looks like the end of the way, and none that is 6 deg off either. The
-    last is for robots that hold still: beside all that leads, the action term alone is too small to keep a policy from
-    shaking its joints to and fro where it stands.
+    last is for robots that hold still: beside all that leads, the action term is too small, and too flat where rates
+    are large, to keep a policy from shaking its joints to and fro where it stands.
 
     Args:
         weights: of the terms.
         high: how high the trunk is, from 0 to 1, shape (...,).
         upright: how upright it is, likewise.
         error: to the standing pose [rad], shape (..., 6).
-        rates: commanded [rad/s], shape (..., 5).
+        shares: commanded rates as shares of the rate limit, shape (..., 5).
     """
     square = weights.approach_slope * np.sum(error**2, axis=-1)
     wide, middle, narrow = (np.exp(-factor * square) for factor in (1.0, 4.0, 32.0))
-    still = np.exp(-weights.action_slope * np.linalg.norm(rates, axis=-1))
+    still = 1.0 - np.sqrt(np.mean(shares**2, axis=-1))
     return np.asarray(weights.approach * high * upright * (wide + middle + narrow * still) / 3.0)

@@ -45,9 +45,12 @@ VARIANTS: dict[str, dict[str, str]] = {
     "no-push": {"near_target_push": "0"},
     "spin-5": {"end_gyro": "5"},
     "n-step-1": {"n_step": "1"},
+    "n-step-5": {"n_step": "5"},
     "discount-98": {"discount": "0.98"},
     "correlated-noise": {"noise_correlation": "0.7"},
     "weight-norm": {"weight_norm": "true"},
+    "wide-slow": {"critic": "256,256", "updates_per_step": "0.25"},
+    "more-falling": {"falling_share": "0.6"},
     "no-average": {"average": "0"},
 }
 SHARES = (0.5, 0.9)

@@ -57,8 +57,8 @@ def test_approach():
     still = np.zeros(5)
     assert reward.approach(GUIDED, 1.0, 1.0, error, still) == pytest.approx(mean)
     assert reward.approach(GUIDED, 0.5, 0.5, error, still) == pytest.approx(0.25 * mean)
-    moving = np.array([0.0, 0.0, 3.0, 0.0, 4.0])
-    assert reward.approach(GUIDED, 1.0, 1.0, 0.0 * error, moving) == pytest.approx((2.0 + np.exp(-5.0)) / 3)
+    moving = np.array([0.0, 0.0, 0.3, 0.0, 0.4])
+    assert reward.approach(GUIDED, 1.0, 1.0, 0.0 * error, moving) == pytest.approx((3.0 - 0.5 / np.sqrt(5)) / 3)
     assert reward.posture(GUIDED, error) < 0.01
 
 
