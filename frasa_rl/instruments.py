@@ -32,6 +32,7 @@ MEASURES = (
     Measure("peak_speed", "rad/s", "largest speed of any joint at any instant"),
     Measure("peak_floor_force", "N", "largest net force between robot and floor"),
     Measure("self_contact", "N s", "forces between parts of the robot, summed over contacts and time"),
+    Measure("shaking", "rad/s", "mean speed of the joints at the end, while the pose is held"),
 )
 
 
@@ -68,7 +69,7 @@ class Instruments:
         self._speeds = model.jnt_dofadr[model.actuator_trnid[moved, 0]]
 
     def read(self, sim: Simulation) -> Floats:
-        """The measures of `MEASURES` over the last `advance`, shape (count, 4): peaks, and the sum of the last."""
+        """The measures of `MEASURES` over the last `advance`, shape (count, 5): peaks, then a sum, then a mean."""
         seen = sim.sensor_path
         speeds = sim.path[:, :, 1 + sim.nq + self._speeds]
         inner = seen[:, :, self._self].reshape(*seen.shape[:2], -1, 3)
@@ -78,13 +79,22 @@ class Instruments:
                 np.abs(speeds).max(axis=(1, 2)),
                 np.linalg.norm(seen[:, :, self._floor], axis=2).max(axis=1),
                 np.linalg.norm(inner, axis=3).sum(axis=(1, 2)) * sim.timestep,
+                np.abs(speeds).mean(axis=(1, 2)),
             ],
             axis=1,
         )
 
 
-def over_time(periods: Floats) -> Floats:
-    """The measures of a whole trial from those of its periods, shape (periods, 4): shape (4,)."""
+def over_time(periods: Floats, held: int) -> Floats:
+    """The measures of a whole trial from those of its periods.
+
+    Args:
+        periods: shape (periods, 5).
+        held: how many of the last ones the pose was held in.
+
+    Returns:
+        Shape (5,).
+    """
     if not len(periods):
         return np.zeros(len(MEASURES))
-    return np.append(periods[:, :3].max(axis=0), periods[:, 3].sum())
+    return np.array([*periods[:, :3].max(axis=0), periods[:, 3].sum(), periods[-held:, 4].mean()])

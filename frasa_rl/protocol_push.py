@@ -43,7 +43,7 @@ class PushTrial:
         time_s: from the first deviation above 5 deg to the start of the hold [s], 0 without one; None: never stable.
         fell: the trunk tilted by more than 45 deg from its standing pose before it was stable again.
         diverged: the simulation blew up.
-        strain: the `MEASURES` from the release until stable or time was up, shape (4,).
+        strain: the `MEASURES` from the release until stable or time was up, shape (5,).
     """
 
     direction: Direction
@@ -230,5 +230,5 @@ class PushRun:
             time_s=None if stable is None else (stable[1] - stable[0]) * trials.timestep,
             fell=hit and bool((tilt[index, begin : last + 1] > FALL_DEG).any()),
             diverged=bool(trials.diverged[index]),
-            strain=over_time(strain[index, :periods]),
+            strain=over_time(strain[index, :periods], trials.held_periods),
         )

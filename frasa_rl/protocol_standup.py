@@ -28,7 +28,7 @@ class StandUpTrial:
         time_s: from the first movement of a command to the start of the hold [s]; None for a failure.
         from_decision_s: the same from the first decision, the wait of a fall detector included [s].
         diverged: the simulation blew up.
-        strain: the `MEASURES` until the hold was over or time was up, shape (4,).
+        strain: the `MEASURES` until the hold was over or time was up, shape (5,).
     """
 
     side: Side
@@ -106,7 +106,7 @@ def judge_standup(trials: Trials, kinds: list[Side]) -> list[StandUpTrial]:
                 time_s=None if time_s is None else max(0.0, time_s - moved),
                 from_decision_s=time_s,
                 diverged=bool(trials.diverged[index]),
-                strain=over_time(strain[index, :periods]),
+                strain=over_time(strain[index, :periods], trials.held_periods),
             )
         )
     return judged

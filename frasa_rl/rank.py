@@ -2,7 +2,7 @@
 
     speed        mean time to stand up, a failure counted as the limit of 10 s [s]
     robustness   share of the trials on random robots and floors that succeed, stand-ups and pushes
-    safety       mean rank of four numbers: peak torque, peak speed, peak floor force, self-contact
+    safety       mean rank of five numbers: peak torque, peak speed, peak floor force, self-contact, shaking
     versatility  share of the 2 sides and 6 pushes in which at least 8 of 10 trials succeed
 
 Equal numbers share the mean of their ranks. The place is by the mean of the four ranks; a policy that never stood

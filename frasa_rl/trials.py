@@ -76,10 +76,15 @@ class Trials:
         return np.concatenate(self._tilt, axis=1)
 
     def strain(self) -> Floats:
-        """`MEASURES` of every decision's period, shape (count, periods, 4)."""
+        """`MEASURES` of every decision's period, shape (count, periods, 5)."""
         if not self._strain:
             return np.zeros((self.batch.count, 0, len(MEASURES)))
         return np.stack(self._strain, axis=1)
+
+    @property
+    def held_periods(self) -> int:
+        """Decisions while the pose must be held."""
+        return max(1, round(self.batch.task.success_hold_s / self.batch.period_s))
 
     def every(self, seconds: float) -> bool:
         """Whether the last decision's period ended or passed a multiple of a time [s] since `begin`."""

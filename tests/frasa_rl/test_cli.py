@@ -59,7 +59,7 @@ def test_rank_orders_its_candidates(run, nominal, monkeypatch, capsys):
     def evaluate(controller, conditions, standup, push, tell):
         ran.append((controller.name, conditions.model, conditions.randomize, standup, push))
         time_s = None if controller.name == "nothing" else 2.0
-        return Evaluation([StandUpTrial(side, time_s, time_s, False, np.ones(4)) for side in ("prone", "supine")], [])
+        return Evaluation([StandUpTrial(side, time_s, time_s, False, np.ones(5)) for side in ("prone", "supine")], [])
 
     monkeypatch.setattr("frasa_rl.commands.rank.evaluate", evaluate)
     assert main(["rank", "nothing", str(run), "--model", str(nominal), "--trials", "3", "--json"]) == 0

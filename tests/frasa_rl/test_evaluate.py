@@ -20,7 +20,7 @@ from frasa_rl.routine import KeyframeError
 from frasa_sysid.calibration import CalibrationError, UsageError, plain
 
 TASK = Task()
-STRAIN = np.array([4.0, 3.0, 200.0, 0.5])
+STRAIN = np.array([4.0, 3.0, 200.0, 0.5, 0.1])
 STANDUP = [
     StandUpTrial("prone", 2.0, 2.25, False, STRAIN),
     StandUpTrial("prone", 3.0, 3.25, False, 3.0 * STRAIN),
@@ -84,9 +84,11 @@ def test_without_a_success_there_is_no_mean():
 
 
 def test_the_strain_of_a_trial_is_its_peaks_and_its_sum():
-    """Peaks over the periods; self-contact adds up; no period, no strain."""
-    np.testing.assert_array_equal(over_time(np.array([[1, 5, 2, 3], [4, 2, 2, 3]])), [4, 5, 2, 6])
-    np.testing.assert_array_equal(over_time(np.zeros((0, 4))), np.zeros(4))
+    """Peaks over the periods; self-contact adds up; shaking is of the end; no period, no strain."""
+    periods = np.array([[1, 5, 2, 3, 9], [4, 2, 2, 3, 1], [0, 0, 0, 0, 3]])
+    np.testing.assert_array_equal(over_time(periods, 2), [4, 5, 2, 6, 2])
+    np.testing.assert_array_equal(over_time(periods, 9)[4], 13 / 3)
+    np.testing.assert_array_equal(over_time(np.zeros((0, 5)), 2), np.zeros(5))
 
 
 def test_the_strain_is_what_mujoco_says(nominal):
@@ -95,6 +97,21 @@ def test_the_strain_is_what_mujoco_says(nominal):
     assert strain[2] == pytest.approx(7.805 * 9.81, rel=0.05)
     assert 0.1 < strain[0] <= 8.0
     assert strain[1] < 0.2
+    assert 0.0 < strain[4] < strain[1]
+
+
+def test_a_controller_that_shakes_is_seen(nominal):
+    """Commands to and fro are twenty times the motion of a robot that lies still."""
+
+    class Shaking(Nothing):
+        def act(self, observations):
+            self.sign = -getattr(self, "sign", 1.0)
+            return np.full((len(observations), len(TASK.joints)), 0.5 * self.sign)
+
+    still, shaken = (
+        run_standup(one(TASK), Conditions(nominal), 1, sides=["prone"])[0].strain[4] for one in (Nothing, Shaking)
+    )
+    assert shaken > 20.0 * still
 
 
 def test_the_tables_stand_beside_the_papers():

@@ -8,9 +8,9 @@ from frasa_rl.protocol_push import PushTrial
 from frasa_rl.protocol_standup import StandUpTrial
 from frasa_rl.rank import numbers_of, rank, rank_table
 
-ZERO = np.zeros(4)
-GENTLE = {"peak_torque": 1.0, "peak_speed": 1.0, "peak_floor_force": 1.0, "self_contact": 0.0}
-ROUGH = {"peak_torque": 5.0, "peak_speed": 9.0, "peak_floor_force": 900.0, "self_contact": 2.0}
+ZERO = np.zeros(5)
+GENTLE = {"peak_torque": 1.0, "peak_speed": 1.0, "peak_floor_force": 1.0, "self_contact": 0.0, "shaking": 0.1}
+ROUGH = {"peak_torque": 5.0, "peak_speed": 9.0, "peak_floor_force": 900.0, "self_contact": 2.0, "shaking": 0.2}
 GOOD = {"speed": 2.0, "robustness": 0.9, "versatility": 1.0, "stood_up": 1.0, **ROUGH}
 SLOW = {"speed": 4.0, "robustness": 0.8, "versatility": 0.5, "stood_up": 1.0, **GENTLE}
 STILL = {"speed": 10.0, "robustness": 0.0, "versatility": 0.0, "stood_up": 0.0, **GENTLE}
@@ -27,7 +27,7 @@ def push(time_s, hit=True, energy=4.0, strain=ZERO):
 def test_the_numbers_behind_a_rank():
     """Failures count as 10 s; random trials make robustness; a cell passes at 8 of 10."""
     nominal = Evaluation(
-        [stand("prone", 2.0, np.full(4, 2.0)), stand("supine", None)],
+        [stand("prone", 2.0, np.full(5, 2.0)), stand("supine", None)],
         [push(1.0)] * 4
         + [push(None)]
         + [push(1.0, energy=7.3), push(None, energy=7.3), push(None, hit=False, energy=7.3)],

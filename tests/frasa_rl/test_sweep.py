@@ -136,7 +136,7 @@ def test_the_best_are_ranked(resumed, model, tmp_path, monkeypatch, capsys):
 
     def evaluate(controller, conditions, standup, push, tell):
         ran.append((controller.name, conditions.randomize))
-        return Evaluation([StandUpTrial(side, 2.0, 2.0, False, np.ones(4)) for side in ("prone", "supine")], [])
+        return Evaluation([StandUpTrial(side, 2.0, 2.0, False, np.ones(5)) for side in ("prone", "supine")], [])
 
     monkeypatch.setattr("frasa_rl.commands.rank.evaluate", evaluate)
     assert main(["sweep", "--resume", str(evaluated), "--rank", "2", "--json"]) == 0
