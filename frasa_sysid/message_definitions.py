@@ -3,6 +3,8 @@
 Field lists of the public interfaces; a definition is followed by those it uses.
 """
 
+SIMULATED = "/sim/"  # topics of simulated traces begin so; what stands on them is never taken for a measurement
+
 TIME = """
 ================================================================================
 MSG: builtin_interfaces/Time

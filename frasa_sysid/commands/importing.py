@@ -22,7 +22,7 @@ from frasa_sysid.commands.import_formats import (
     name_of,
 )
 from frasa_sysid.errors import LogError, UsageError
-from frasa_sysid.readers.effort import EFFORT_UNITS, declare_effort, undeclared
+from frasa_sysid.readers.effort import EFFORT_UNITS, UNDECLARED, declare_effort, undeclared
 from frasa_sysid.readers.signal_map import SignalMap, builtin_maps, load_map
 from frasa_sysid.recording import Recording
 from frasa_sysid.rig_table import RigRow, read_rig_table, with_rig
@@ -94,10 +94,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if done:
         _tell(done, args.out)
     if efforts:
-        say(
-            f"  effort in {efforts} recordings: nobody declared its unit, so it is kept as [raw] and never taken for "
-            "torque; declare --effort-unit 'N m', A, raw or none"
-        )
+        say(f"  {UNDECLARED.format(count=efforts)}")
     if failed:
         raise LogError(f"{failed} of {len(done) + failed} sources could not be imported")
     return {"schema": SCHEMA, "imported": done}

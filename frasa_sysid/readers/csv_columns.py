@@ -15,7 +15,7 @@ from frasa_sysid.readers.columns import Loaded, Values
 from frasa_sysid.readers.sources import GZIP_MAGIC, check_source
 from frasa_sysid.recording import Fault
 
-BLOCK = 20_000  # rows that are text at a time
+BLOCK = 4_000  # rows that are text at a time
 DELIMITERS = ",;\t"
 
 

@@ -8,6 +8,10 @@ from frasa_sysid.readers.units import UNITS
 from frasa_sysid.recording import Recording
 
 EFFORT_UNITS = ("N m", "mN m", "A", "mA", "raw", "none")
+UNDECLARED = (
+    "effort in {count} recordings: nobody declared its unit, so it is kept as [raw] and never taken for torque; "
+    "'frasa-sysid import --effort-unit' declares N m, mN m, A, mA, raw or none"
+)
 INSTEAD = {"N m": "torque", "A": "current"}
 
 

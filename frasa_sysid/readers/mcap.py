@@ -19,6 +19,7 @@ from frasa_sysid.bench_record import BenchRecord
 from frasa_sysid.calibration.files import sha256_of_file
 from frasa_sysid.clocks import compare_clocks
 from frasa_sysid.errors import LogError
+from frasa_sysid.message_definitions import SIMULATED
 from frasa_sysid.readers import faults as known_faults
 from frasa_sysid.readers.mapped import rank_in, unused_entries
 from frasa_sysid.readers.mcap_series import CLOCKS, Collected, Series, collect, file_faults, nothing_found
@@ -156,7 +157,8 @@ def _name_signals(collected: Collected, mapping: SignalMap | None) -> dict[str, 
             # DynamicJointState repeats what JointState says better: units and names.
             if i > 0 and one.unit is None and several[0].unit is not None:
                 continue
-            named[name if i == 0 else f"{name}@{one.topic}"] = one
+            plain = i == 0 and not one.topic.startswith(SIMULATED)
+            named[name if plain else f"{name}@{one.topic}"] = one
     return named
 
 
