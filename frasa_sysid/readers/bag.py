@@ -14,6 +14,7 @@ from typing import Any
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
+from frasa_sysid.calibration.files import sha256_of, sha256_of_file
 from frasa_sysid.errors import LogError
 from frasa_sysid.message_definitions import DEFINITIONS
 from frasa_sysid.readers.bag_definitions import LEGACY
@@ -47,9 +48,8 @@ def read_bag(path: Path, unit: Unit = "auto", mapping: SignalMap | None = None) 
     with _opened(path, kind) as reader:
         lost = _collect(reader, kind == ".bag", mapping, collected)
     lost += _unmerged(path)
-    recordings = recordings_of(path, collected, unit=unit, mapping=mapping)
-    last = recordings[-1]
-    return [*recordings[:-1], replace(last, name=bag_of(path).name, faults=(*last.faults, *lost))]
+    last = recordings_of(path, collected, unit=unit, mapping=mapping)[-1]
+    return [replace(last, name=bag_of(path).name, sha256=_digest(path), faults=(*last.faults, *lost))]
 
 
 def bag_of(path: Path) -> Path:
@@ -70,6 +70,13 @@ def companions(path: Path) -> list[Path]:
     if path.name != METADATA:
         return []
     return sorted(one for one in path.parent.iterdir() if one.is_file() and one.name != METADATA)
+
+
+def _digest(path: Path) -> str:
+    """SHA-256 of a bag's data: of its one file, or of the sums of its files."""
+    files = [path] if path.name != METADATA else companions(path) or [path]
+    sums = [sha256_of_file(file) for file in files]
+    return sums[0] if len(sums) == 1 else sha256_of("".join(sums).encode())
 
 
 def _checked(path: Path) -> str:
@@ -112,6 +119,7 @@ def _collect(reader: Any, ros1: bool, mapping: SignalMap | None, collected: Coll
             decoders[one.topic, one.msgtype] = decode
     wanted = [one for one in reader.connections if (one.topic, one.msgtype) in decoders]
     if not wanted:
+        collected.report.messages = reader.message_count  # none of them of use: which there are is said
         return []
     try:
         for one, stamp, data in reader.messages(connections=wanted):

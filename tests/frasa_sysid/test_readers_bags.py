@@ -4,12 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from frasa_sysid.calibration.command_line import run_command
+from frasa_sysid.calibration.files import sha256_of_file
+from frasa_sysid.cli import build_parser
 from frasa_sysid.commands import importing
 from frasa_sysid.errors import LogError
 from frasa_sysid.message_definitions import DYNAMIC_JOINT_STATE
@@ -112,7 +115,7 @@ def frasa(*words):
     return run_command(parser, [str(word) for word in words])
 
 
-def check(recording, ros2_only=True):
+def check(recording):
     i = np.arange(N)
     y = np.stack([0.01 * i, -0.01 * i], axis=1)
     assert recording.signal("position").columns == ("knee", "hip")
@@ -168,9 +171,26 @@ def test_import_of_bags(bags, tmp_path, capsys):
     for name in ("one", "two"):
         recording = read_log(tmp_path / f"{name}.mcap")[0]
         check(recording)
-        assert recording.extra["imported_sha256"]
+        data = folder / "one.bag" if name == "one" else next((folder / "two").glob("*.db3"))
+        assert recording.extra["imported_sha256"] == sha256_of_file(data)
+        with (tmp_path / f"{name}.mcap").open("rb") as file:
+            attached = {one.name: one.data for one in make_reader(file).iter_attachments()}
+        assert attached[data.name] == data.read_bytes()
+        assert name == "one" or "metadata.yaml" in attached
+    assert run_command(build_parser(), ["inspect", str(tmp_path / "two.mcap")]) == 0
+    assert "effort in 1 recordings: nobody declared its unit" in capsys.readouterr().err
     found = importing.find_sources(str(folder), "rosbag")
     assert sorted({one.relative_to(folder).parts[0] for one in found}) == ["old", "one.bag", "three", "two"]
+
+
+def test_large_originals_are_not_attached(bags, tmp_path, capsys, monkeypatch):
+    """What is above the limit stays where it is, and that is said; the signals come all the same."""
+    monkeypatch.setattr(importing, "ATTACHED", 1000)
+    assert frasa("import", bags["ros1"], "--format", "rosbag", "--out", tmp_path) == 0
+    assert "are not attached; keep the original" in capsys.readouterr().err
+    check(read_log(tmp_path / "one.mcap")[0])
+    with (tmp_path / "one.mcap").open("rb") as file:
+        assert list(make_reader(file).iter_attachments()) == []
 
 
 @pytest.mark.parametrize(
