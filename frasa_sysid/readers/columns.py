@@ -115,8 +115,11 @@ def _block(path: Path, entry: Entry, name: str, values: Values) -> list[tuple[st
     """Joint (empty: not named) and values of each column of one array."""
     y = entry.convert(np.asarray(values, dtype=np.float64))
     if y.ndim == 1:
-        joint = entry.joints[0] if entry.joints else entry.match(name) or ""
-        return [(joint, y)]
+        if entry.joints and len(entry.joints) > 1:
+            raise LogError(
+                f"{path}: {entry.where}: {len(entry.joints)} joints, but {name} is one column; give each its entry"
+            )
+        return [(entry.joints[0] if entry.joints else entry.match(name) or "", y)]
     if y.ndim != 2:
         raise LogError(f"{path}: {name} has {y.ndim} dimensions, expected (samples,) or (samples, joints)")
     if entry.joints is None:
@@ -141,10 +144,11 @@ def _part(path: Path, mapping: SignalMap, signal: str, unit: str, block: Sequenc
         columns = (joints[0],) if joints[0] else ()
         y = block[0][1]
         return Part(signal, unit, y, y.reshape(-1, 1) if columns else y, columns)
+    if "" in joints:
+        raise LogError(f'{path}: map {mapping.name}: {signal} has a joint without a name; name each: joint = "..."')
     twice = sorted({joint for joint in joints if joints.count(joint) > 1})
     if twice:
-        which = f"joint '{twice[0]}'" if twice[0] else "a joint without a name"
-        raise LogError(f'{path}: map {mapping.name}: {signal} has {which} twice; name each: joint = "..."')
+        raise LogError(f"{path}: map {mapping.name}: {signal} has joint '{twice[0]}' twice")
     y = np.stack([one for _, one in block], axis=1)
     return Part(signal, unit, y[:, 0], y, tuple(joints))
 

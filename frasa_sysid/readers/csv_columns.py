@@ -51,10 +51,9 @@ class CsvFile:
         blocks: dict[str, list[Values]] = {name: [] for name in places}
         faults: list[Fault] = []
         with self._lines() as lines:
-            for start, rows in self._blocks(lines, faults):
-                for name, place in places.items():
-                    block = _block(self, name, start, [row[place] for row in rows], name in times)
-                    blocks[name].append(block)
+            for start, columns in self._blocks(lines, list(places.values()), faults):
+                for name, fields in zip(places, columns, strict=True):
+                    blocks[name].append(_block(self, name, start, fields, name in times))
         if not next(iter(blocks.values())):
             raise LogError(f"{self.path} has a header and no rows")
         return Loaded({name: np.concatenate(several) for name, several in blocks.items()}, faults)
@@ -74,26 +73,29 @@ class CsvFile:
         except (UnicodeDecodeError, csv.Error) as error:
             raise LogError(f"{self.path} is not a CSV table: {error}") from error
 
-    def _blocks(self, lines: Iterator[str], faults: list[Fault]) -> Iterator[tuple[int, list[list[str]]]]:
-        """Rows with the line number of the first, some thousands at a time."""
+    def _blocks(
+        self, lines: Iterator[str], places: Sequence[int], faults: list[Fault]
+    ) -> Iterator[tuple[int, list[list[str]]]]:
+        """The fields at some places, column by column, with the line of the first; some thousands at a time."""
         reader = csv.reader(lines, delimiter=self._delimiter, strict=True)
         next(reader)
-        rows: list[list[str]] = []
+        columns: list[list[str]] = [[] for _ in places]
         short, start = 0, 2
         for row in reader:
             if short:
                 raise LogError(f"{self.path}: line {short} has not {len(self._names)} fields, as the header has")
             if len(row) == len(self._names):
-                rows.append(row)
+                for fields, place in zip(columns, places, strict=True):
+                    fields.append(row[place])
             elif row:
                 short = reader.line_num  # the last row of a log that was cut off may be so, no other
-            if len(rows) == BLOCK:
-                yield start, rows
-                rows, start = [], reader.line_num + 1
+            if len(columns[0]) == BLOCK:
+                yield start, columns
+                columns, start = [[] for _ in places], reader.line_num + 1
         if short:
             faults.append(Fault("truncated", 1, f"the last row, line {short}, is cut off; dropped"))
-        if rows:
-            yield start, rows
+        if columns[0]:
+            yield start, columns
 
     def _place(self, name: str) -> int:
         if self._names.count(name) > 1:
