@@ -3,14 +3,16 @@
 Field lists of the public interfaces; a definition is followed by those it uses.
 """
 
-_TIME = """
+SIMULATED = "/sim/"  # topics of simulated traces begin so; what stands on them is never taken for a measurement
+
+TIME = """
 ================================================================================
 MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
 
-_HEADER = """
+HEADER = """
 ================================================================================
 MSG: std_msgs/Header
 builtin_interfaces/Time stamp
@@ -22,7 +24,7 @@ string[] name
 float64[] position
 float64[] velocity
 float64[] effort
-{_HEADER}{_TIME}"""
+{HEADER}{TIME}"""
 
 DYNAMIC_JOINT_STATE = f"""std_msgs/Header header
 string[] joint_names
@@ -32,7 +34,7 @@ control_msgs/InterfaceValue[] interface_values
 MSG: control_msgs/InterfaceValue
 string[] interface_names
 float64[] values
-{_HEADER}{_TIME}"""
+{HEADER}{TIME}"""
 
 IMU = f"""std_msgs/Header header
 geometry_msgs/Quaternion orientation
@@ -54,7 +56,7 @@ MSG: geometry_msgs/Vector3
 float64 x
 float64 y
 float64 z
-{_HEADER}{_TIME}"""
+{HEADER}{TIME}"""
 
 BATTERY_STATE = f"""std_msgs/Header header
 float32 voltage
@@ -72,7 +74,7 @@ float32[] cell_voltage
 float32[] cell_temperature
 string location
 string serial_number
-{_HEADER}{_TIME}"""
+{HEADER}{TIME}"""
 
 DEFINITIONS = {
     "sensor_msgs/msg/JointState": JOINT_STATE,

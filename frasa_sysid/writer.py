@@ -18,7 +18,7 @@ from mcap_ros2.writer import Writer
 from frasa_sysid import bench_record
 from frasa_sysid.calibration.files import write_atomic
 from frasa_sysid.errors import LogError
-from frasa_sysid.message_definitions import DEFINITIONS
+from frasa_sysid.message_definitions import DEFINITIONS, SIMULATED
 from frasa_sysid.recording import FloatArray, Recording, Signal
 
 EPOCH = 1_577_836_800 * 10**9  # ns; 2020-01-01T00:00:00Z, so that the bytes depend on the data alone
@@ -120,11 +120,22 @@ def _schema(signal: Signal) -> str:
         return IMU
     if _is_battery(signal):
         return BATTERY_STATE
-    return JOINT_STATE if signal.name in JOINT_FIELDS else DYNAMIC_JOINT_STATE
+    return JOINT_STATE if _base(signal) in JOINT_FIELDS else DYNAMIC_JOINT_STATE
+
+
+def _base(signal: Signal) -> str:
+    """The plain name of a simulated signal, which has its topic behind it; any other name as it is."""
+    name, _, topic = signal.name.partition("@")
+    return name if topic.startswith(SIMULATED) else signal.name
+
+
+def _topic(signal: Signal, usual: str) -> str:
+    return usual if _base(signal) == signal.name else signal.name.partition("@")[2]
 
 
 def _is_imu(signal: Signal) -> bool:
-    return signal.name in IMU_FIELDS and (signal.unit, signal.columns) == IMU_FIELDS[signal.name][1:]
+    base = _base(signal)
+    return base in IMU_FIELDS and (signal.unit, signal.columns) == IMU_FIELDS[base][1:]
 
 
 def _is_battery(signal: Signal) -> bool:
@@ -150,7 +161,8 @@ def _samples(signal: Signal, start: int) -> Iterator[tuple[int, list[float]]]:
 
 
 def _add_joints(messages: Messages, signal: Signal, start: int, joints: tuple[str, ...]) -> None:
-    topic, quantity = JOINT_FIELDS[signal.name]
+    usual, quantity = JOINT_FIELDS[_base(signal)]
+    topic = _topic(signal, usual)
     for stamp, row in _samples(signal, start):
         messages[stamp, topic, JOINT_STATE, joints][quantity] = row
 
@@ -161,9 +173,10 @@ def _add_interface(messages: Messages, signal: Signal, start: int, joints: tuple
 
 
 def _add_imu(messages: Messages, signal: Signal, start: int, joints: tuple[str, ...]) -> None:
-    quantity, _, axes = IMU_FIELDS[signal.name]
+    quantity, _, axes = IMU_FIELDS[_base(signal)]
+    topic = _topic(signal, "/imu/data")
     for stamp, row in _samples(signal, start):
-        messages[stamp, "/imu/data", IMU, ()][quantity] = dict(zip(axes, row, strict=True))
+        messages[stamp, topic, IMU, ()][quantity] = dict(zip(axes, row, strict=True))
 
 
 def _add_battery(messages: Messages, signal: Signal, start: int, joints: tuple[str, ...]) -> None:

@@ -15,10 +15,11 @@ from frasa_sysid.calibration.friction import FIELDS as FRICTION_FIELDS
 from frasa_sysid.calibration.friction import Friction
 from frasa_sysid.calibration.servo_law import law
 from frasa_sysid.commands.bench import Bench, add_bench_arguments, bench_model, load_bench, people_console, read_logs
-from frasa_sysid.commands.compare_robot import SCHEMA, compare_robot_logs
+from frasa_sysid.commands.compare_robot import SCHEMA, compare_robot_logs, write_overlay
 from frasa_sysid.commands.fit_robot import add_base_argument, add_share_argument
 from frasa_sysid.cost import Misfit, misfit
 from frasa_sysid.errors import ModelError, UsageError
+from frasa_sysid.overlay import bench_overlay
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.report import Trace, write_trace_report
 from frasa_sysid.rig import BenchRun
@@ -57,6 +58,12 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     add_base_argument(group)
     add_share_argument(group, "compare the end of each log only, which a fit with the same share never saw")
     parser.add_argument("--report", type=Path, metavar="HTML", help="write the traces to a page")
+    parser.add_argument(
+        "--mcap",
+        type=Path,
+        metavar="FILE",
+        help="write measured and simulated traces to one MCAP, for Foxglove and PlotJuggler",
+    )
     add_json_flag(parser)
     parser.set_defaults(run=run)
 
@@ -91,13 +98,19 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             for i, run in enumerate(runs)
         ]
         report = write_trace_report(args.report, f"{bench.servo.name}: simulated over measured", traces)
+    if args.mcap is not None:
+        by_run = {
+            one.name: {run.name: reading for run, reading in zip(runs, found, strict=True)}
+            for one, found in zip(candidates, readings, strict=True)
+        }
+        write_overlay(args.mcap, bench_overlay(bench.train, by_run))
     last = errors[candidates[-1].name]
     return {
         "schema": SCHEMA,
         "servo": bench.servo.name,
         "misfit": _plain(last),
         "candidates": {name: _plain(one) for name, one in errors.items()},
-        "outputs": {"report": report},
+        "outputs": {"report": report, "mcap": args.mcap},
     }
 
 

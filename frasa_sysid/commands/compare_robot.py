@@ -13,12 +13,14 @@ from frasa_sysid.calibration import load_model, say, servo_classes
 from frasa_sysid.commands.bench import people_console
 from frasa_sysid.errors import LogError, UsageError
 from frasa_sysid.fit_json import ROBOT, read_json
+from frasa_sysid.overlay import LAYOUT, robot_overlay
 from frasa_sysid.recording import Recording
 from frasa_sysid.report_robot import write_robot_comparison
 from frasa_sysid.report_robot_tables import SHOWN
 from frasa_sysid.robot_compare import Contender, compare_robot, last_share, of_bench_fits, of_model, of_robot_fit
 from frasa_sysid.robot_errors import ChannelErrors, Compared, blown_up, errors_by_channel, pieces_in
 from frasa_sysid.robot_rig import is_robot
+from frasa_sysid.writer import write_mcap
 
 SCHEMA = "frasa.compare/1"
 NOMINAL = "nominal"
@@ -42,6 +44,8 @@ def compare_robot_logs(args: argparse.Namespace, recordings: Sequence[Recording]
     _warn(found)
     title = f"Whole robot: simulated over measured, {_part(args.hold_out_share)}"
     report = None if args.report is None else write_robot_comparison(args.report, title, found)
+    if args.mcap is not None:
+        write_overlay(args.mcap, robot_overlay(recordings, found))
     plain = {name: _plain(errors[name], compared) for name, compared in found.items()}
     return {
         "schema": SCHEMA,
@@ -50,8 +54,20 @@ def compare_robot_logs(args: argparse.Namespace, recordings: Sequence[Recording]
         "hold_out_share": args.hold_out_share,
         "misfit": list(plain.values())[-1],
         "candidates": plain,
-        "outputs": {"report": report},
+        "outputs": {"report": report, "mcap": args.mcap},
     }
+
+
+def write_overlay(path: Path, recordings: Sequence[Recording]) -> None:
+    """Write measured and simulated traces to one MCAP, and say how to look at them.
+
+    Raises:
+        UsageError: the file is one of the logs.
+    """
+    if path.exists() and any(path.samefile(one.source) for one in recordings if Path(one.source).exists()):
+        raise UsageError(f"--mcap {path} is one of the logs that are compared; choose another file")
+    write_mcap(path, recordings)
+    say(f"measured and simulated traces: {path} (PlotJuggler opens it as it is; layout for Foxglove: {LAYOUT})")
 
 
 def _check(args: argparse.Namespace, recordings: Sequence[Recording]) -> None:

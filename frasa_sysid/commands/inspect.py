@@ -19,6 +19,7 @@ from frasa_sysid.fit_json import ROBOT
 from frasa_sysid.identifiability import bench_findings, next_logs
 from frasa_sysid.inspection import SignalSummary, is_bench, summarise
 from frasa_sysid.readers import read_log
+from frasa_sysid.readers.effort import UNDECLARED, undeclared
 from frasa_sysid.recording import Recording, Signal
 from frasa_sysid.robot_findings import robot_findings
 from frasa_sysid.robot_rig import is_robot
@@ -60,6 +61,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     else:
         _show_groups(console, recordings)
     show_faults(console, recordings)
+    if efforts := undeclared(recordings):
+        console.print(UNDECLARED.format(count=efforts), markup=False, soft_wrap=True)
     show_clocks(console, recordings)
     wrong = all_checks(recordings)
     show_checks(console, wrong)

@@ -54,7 +54,10 @@ def _advice(path: Path, head: bytes) -> str:
     if head.startswith(b"%time,"):
         return f"; it looks like rostopic echo -p: 'frasa-sysid import {path} --format rostopic_csv --out DIR'"
     if head.startswith((b"#ROSBAG", b"SQLite format 3")):
-        return "; it is a ROS bag: convert it with 'ros2 bag convert' or 'mcap convert' first"
+        return f"; it is a ROS bag: 'frasa-sysid import {path} --format rosbag --out DIR'"
+    if head.startswith(b"PAR1") or name.endswith((".csv", ".csv.gz", ".tsv", ".npz")):
+        form = "parquet" if head.startswith(b"PAR1") else "npz" if name.endswith(".npz") else "csv"
+        return f"; it is a table: 'frasa-sysid import {path} --format {form} --map MAP.toml --out DIR'"
     if head.startswith(GZIP_MAGIC):
         return "; it is gzipped: 'frasa-sysid import' reads other logs packed, MCAP must be unpacked"
     return " (unknown format); 'frasa-sysid import' reads the formats that its --help names"

@@ -1,11 +1,10 @@
-"""Bytes of one message -> named numbers, for the message types that frasa understands.
+"""Bytes of one message -> named numbers, for the message types that frasa understands, or by a map.
 
-`decoder_for` is a registry by (message encoding, schema encoding); what comes out is the
-same for ROS 2 and JSON: a header stamp where there is one, and readings, each a
-quantity with the joints (or axes) it belongs to.
+`decoder_for` goes by (message encoding, schema encoding); what comes out is the same for
+ROS 2, JSON, MessagePack and Protobuf: a header stamp where there is one, and readings,
+each a quantity with the joints (or axes) it belongs to.
 """
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -13,6 +12,9 @@ from typing import Any, NamedTuple
 
 from mcap.records import Channel, Schema
 from mcap_ros2.decoder import DecoderFactory
+
+from frasa_sysid.readers.payloads import UNPACKS, Unpack
+from frasa_sysid.readers.stamps import stamp_of
 
 XYZ = ("x", "y", "z")
 WXYZ = ("w", "x", "y", "z")
@@ -47,44 +49,47 @@ Decode = Callable[[bytes], Decoded]
 Extract = Callable[[Any, str], Decoded]
 
 
-def decoder_for(channel: Channel, schema: Schema | None, ros2: DecoderFactory) -> Decode | None:
+def decoder_for(
+    channel: Channel, schema: Schema | None, ros2: DecoderFactory, chosen: Extract | None = None, by_type: bool = True
+) -> Decode | None:
     """The function that decodes the messages of a channel, or None when it holds nothing for us.
 
     Args:
         channel: of the messages.
         schema: of the channel, if it has one.
         ros2: the decoder of this file; it remembers definitions by schema id.
+        chosen: what a map reads from this topic.
+        by_type: without a map: the message type says what is read.
 
     Raises:
+        LogError: a package for this encoding is not installed.
         Exception: whatever the library raises on a definition it cannot parse.
     """
-    make = REGISTRY.get((channel.message_encoding, schema.encoding if schema else ""))
-    return None if make is None else make(channel, schema, ros2)
-
-
-def _ros2_decoder(channel: Channel, schema: Schema | None, ros2: DecoderFactory) -> Decode | None:
-    extract = EXTRACTORS.get(_short(schema.name)) if schema else None
+    encoding = channel.message_encoding.lower()
+    kind = _short(schema.name) if schema else ""
+    extract = chosen or (_extract_by_type(encoding, kind) if by_type else None)
     if extract is None:
         return None
-    unpack = ros2.decoder_for(channel.message_encoding, schema)
+    unpack: Unpack | None
+    if encoding == "cdr":
+        unpack = ros2.decoder_for(channel.message_encoding, schema)
+    else:
+        make = UNPACKS.get((encoding, schema.encoding if schema else ""))
+        unpack = None if make is None else make(schema)
     if unpack is None:
         return None
-    topic = channel.topic
-    return lambda data: extract(unpack(data), topic)
+    topic, plain = channel.topic, encoding != "cdr" and chosen is None
+    return lambda data: extract(_namespace(unpack(data)) if plain else unpack(data), topic)
 
 
-def _json_decoder(channel: Channel, schema: Schema | None, ros2: DecoderFactory) -> Decode | None:
-    topic = channel.topic
-    extract = EXTRACTORS.get(_short(schema.name), _joint_state) if schema else _joint_state
-    return lambda data: extract(_namespace(json.loads(data)), topic)
+def _extract_by_type(encoding: str, kind: str) -> Extract | None:
+    """What reads a message type; what has no definition and looks like a JointState is taken for one."""
+    return EXTRACTORS.get(kind, _joint_state if encoding in ("json", "msgpack", "messagepack") else None)
 
 
-Make = Callable[[Channel, Schema | None, DecoderFactory], Decode | None]
-REGISTRY: Mapping[tuple[str, str], Make] = {
-    ("cdr", "ros2msg"): _ros2_decoder,
-    ("json", "jsonschema"): _json_decoder,
-    ("json", ""): _json_decoder,
-}
+def extract_ros(kind: str) -> Extract | None:
+    """What reads a ROS message type such as `sensor_msgs/msg/JointState`, or None."""
+    return EXTRACTORS.get(_short(kind))
 
 
 def _short(type_name: str) -> str:
@@ -104,14 +109,6 @@ def is_command(topic: str) -> bool:
     """Whether a topic's name says that it carries goals rather than measurements."""
     words = topic.lower().replace("/", "_").split("_")
     return any(word.rstrip("s") in COMMAND_WORDS for word in words)
-
-
-def _stamp(message: Any) -> int | None:  # noqa: ANN401 - a generated message
-    stamp = getattr(getattr(message, "header", None), "stamp", None) or getattr(message, "timestamp", None)
-    if stamp is None:
-        return None
-    nanoseconds = stamp.nanosec if hasattr(stamp, "nanosec") else stamp.nsec
-    return int(stamp.sec) * 10**9 + int(nanoseconds)
 
 
 def _names(names: Any, count: int) -> tuple[str, ...]:  # noqa: ANN401
@@ -138,12 +135,12 @@ def _joint_readings(columns: Any, arrays: Mapping[str, Any], command: bool) -> l
 
 def _joint_state(message: Any, topic: str) -> Decoded:  # noqa: ANN401
     arrays = {quantity: getattr(message, quantity, None) for quantity in ("position", "velocity", "effort")}
-    return Decoded(_stamp(message), _joint_readings(getattr(message, "name", None), arrays, is_command(topic)))
+    return Decoded(stamp_of(message), _joint_readings(getattr(message, "name", None), arrays, is_command(topic)))
 
 
 def _joint_command(message: Any, topic: str) -> Decoded:  # noqa: ANN401
     arrays = {"position": message.positions, "velocity": message.velocities}
-    return Decoded(_stamp(message), _joint_readings(message.joint_names, arrays, command=True))
+    return Decoded(stamp_of(message), _joint_readings(message.joint_names, arrays, command=True))
 
 
 def _foxglove_joint_states(message: Any, topic: str) -> Decoded:  # noqa: ANN401
@@ -153,7 +150,7 @@ def _foxglove_joint_states(message: Any, topic: str) -> Decoded:  # noqa: ANN401
         known = [(name, value) for name, value in pairs if value is not None]
         arrays = {quantity: [value for _, value in known]}
         readings += _joint_readings([name for name, _ in known], arrays, is_command(topic))
-    return Decoded(_stamp(message), readings)
+    return Decoded(stamp_of(message), readings)
 
 
 def _dynamic_joint_state(message: Any, topic: str) -> Decoded:  # noqa: ANN401
@@ -164,7 +161,7 @@ def _dynamic_joint_state(message: Any, topic: str) -> Decoded:  # noqa: ANN401
             joints.append(joint)
             values.append(value)
     return Decoded(
-        _stamp(message), [Reading(name, None, tuple(joints), values) for name, (joints, values) in found.items()]
+        stamp_of(message), [Reading(name, None, tuple(joints), values) for name, (joints, values) in found.items()]
     )
 
 
@@ -172,13 +169,13 @@ def _controller_state(message: Any, topic: str) -> Decoded:  # noqa: ANN401
     # Called desired/actual up to ROS 2 Humble, reference/feedback since.
     goal = getattr(message, "reference", None) or getattr(message, "desired", None)
     arrays = {"position": getattr(goal, "positions", None), "velocity": getattr(goal, "velocities", None)}
-    return Decoded(_stamp(message), _joint_readings(message.joint_names, arrays, command=True))
+    return Decoded(stamp_of(message), _joint_readings(message.joint_names, arrays, command=True))
 
 
 def _joint_trajectory(message: Any, topic: str) -> Decoded:  # noqa: ANN401
     # Several points are a plan, not what the servo is told now.
     arrays = {"position": message.points[0].positions} if len(message.points) == 1 else {}
-    return Decoded(_stamp(message), _joint_readings(message.joint_names, arrays, command=True))
+    return Decoded(stamp_of(message), _joint_readings(message.joint_names, arrays, command=True))
 
 
 def _multi_array(message: Any, topic: str) -> Decoded:  # noqa: ANN401
@@ -202,11 +199,11 @@ def _imu(message: Any, topic: str) -> Decoded:  # noqa: ANN401
             continue
         value = getattr(message, attribute)
         readings.append(Reading(name, unit, axes, [getattr(value, axis) for axis in axes]))
-    return Decoded(_stamp(message), readings)
+    return Decoded(stamp_of(message), readings)
 
 
 def _battery(message: Any, topic: str) -> Decoded:  # noqa: ANN401
-    return Decoded(_stamp(message), [Reading("supply_voltage", "V", ("battery",), [message.voltage])])
+    return Decoded(stamp_of(message), [Reading("supply_voltage", "V", ("battery",), [message.voltage])])
 
 
 EXTRACTORS: Mapping[str, Extract] = {

@@ -19,10 +19,13 @@ from frasa_sysid.bench_record import BenchRecord
 from frasa_sysid.calibration.files import sha256_of_file
 from frasa_sysid.clocks import compare_clocks
 from frasa_sysid.errors import LogError
+from frasa_sysid.message_definitions import SIMULATED
 from frasa_sysid.readers import faults as known_faults
+from frasa_sysid.readers.mapped import rank_in, unused_entries
 from frasa_sysid.readers.mcap_series import CLOCKS, Collected, Series, collect, file_faults, nothing_found
 from frasa_sysid.readers.mcap_stream import StreamReport
 from frasa_sysid.readers.sampling import make_signal, plural
+from frasa_sysid.readers.signal_map import SignalMap
 from frasa_sysid.readers.sources import Unit, check_source
 from frasa_sysid.recording import LINEAR_UNITS, UNITS, Clock, Fault, Recording, RigFacts, Signal
 
@@ -30,13 +33,19 @@ COMPARED: tuple[tuple[Clock, Clock], ...] = (("log", "header"), ("log", "publish
 MAIN_TOPICS = ("/joint_states", "/joint_command", "/imu/data")
 
 
-def read_mcap(path: Path, clock: Clock | Literal["auto"] = "auto", unit: Unit = "auto") -> list[Recording]:
+def read_mcap(
+    path: Path,
+    clock: Clock | Literal["auto"] = "auto",
+    unit: Unit = "auto",
+    mapping: SignalMap | None = None,
+) -> list[Recording]:
     """The recordings of an MCAP file.
 
     Args:
         path: the file.
         clock: which stamps to use; `auto` takes the best that all signals have.
         unit: of joint angles; `deg` converts, `auto` refuses goals that can only be degrees.
+        mapping: which topics are which signals; by default the message types say it.
 
     Returns:
         One recording for each `frasa.bench` record with a time window, named
@@ -46,12 +55,23 @@ def read_mcap(path: Path, clock: Clock | Literal["auto"] = "auto", unit: Unit = 
         LogError: no such file, no MCAP, damaged, or nothing in it that frasa can use.
     """
     check_source(path)
-    collected = collect(path)
+    return recordings_of(path, collect(path, mapping), clock, unit, mapping)
+
+
+def recordings_of(
+    path: Path,
+    collected: Collected,
+    clock: Clock | Literal["auto"] = "auto",
+    unit: Unit = "auto",
+    mapping: SignalMap | None = None,
+) -> list[Recording]:
+    """The recordings of messages that were read already; see `read_mcap`."""
     faults = file_faults(collected)
     if not collected.series:
-        raise LogError(f"{path}: {nothing_found(collected)}")
+        raise LogError(f"{path}: {nothing_found(collected, mapping)}")
+    faults += [] if mapping is None else unused_entries(mapping, collected.series)
     chosen = _choose_clock(path, collected, clock, faults)
-    named = _name_signals(collected)
+    named = _name_signals(collected, mapping)
     runs = _bench_records(path, collected.report)
     faults += _outside_faults(runs, named, chosen)
     sha256 = sha256_of_file(path)
@@ -82,7 +102,7 @@ def _choose_clock(path: Path, collected: Collected, asked: Clock | Literal["auto
         # A topic without stamps must not cost the others theirs, if it adds nothing.
         redundant = one.name in stamped and not one.has("header")
         if redundant and asked in ("auto", "header"):
-            faults.append(Fault("no_stamp", len(one.values), f"{one.topic}: no header stamps; left out"))
+            faults.append(Fault("no_stamp", one.size, f"{one.topic}: no header stamps; left out"))
             del series[key]
     if asked != "auto":
         lacking = sorted({one.topic for one in series.values() if not one.has(asked)})
@@ -105,7 +125,7 @@ def _choose_clock(path: Path, collected: Collected, asked: Clock | Literal["auto
 
 def _compare_clocks(collected: Collected) -> list[dict[str, Any]]:
     """The file's stamps against each other, on the topic with the most messages that has two that differ."""
-    longest = sorted(collected.series.values(), key=lambda one: (-len(one.values), one.topic, one.name))
+    longest = sorted(collected.series.values(), key=lambda one: (-one.size, one.topic, one.name))
     found = []
     for of, against in COMPARED:
         for one in longest:
@@ -125,24 +145,25 @@ def _with_clocks(recording: Recording, clocks: list[dict[str, Any]]) -> Recordin
     return replace(recording, extra={**recording.extra, "clocks": [*recording.extra.get("clocks", []), *clocks]})
 
 
-def _name_signals(collected: Collected) -> dict[str, Series]:
-    """Signals by name: the main topic's keep the plain name, others carry their topic's."""
+def _name_signals(collected: Collected, mapping: SignalMap | None) -> dict[str, Series]:
+    """Signals by name: the main topic's (the map's first) keep the plain name, others carry their topic's."""
     by_name: dict[str, list[Series]] = defaultdict(list)
     for one in collected.series.values():
         by_name[one.name].append(one)
     named = {}
     for name, several in by_name.items():
-        several.sort(key=_rank)
+        several.sort(key=lambda one: (0 if mapping is None else rank_in(mapping, one.topic, one.name), *_rank(one)))
         for i, one in enumerate(several):
             # DynamicJointState repeats what JointState says better: units and names.
             if i > 0 and one.unit is None and several[0].unit is not None:
                 continue
-            named[name if i == 0 else f"{name}@{one.topic}"] = one
+            plain = i == 0 and not one.topic.startswith(SIMULATED)
+            named[name if plain else f"{name}@{one.topic}"] = one
     return named
 
 
 def _rank(series: Series) -> tuple[bool, bool, int, str]:
-    return series.unit is None, series.topic not in MAIN_TOPICS, -len(series.values), series.topic
+    return series.unit is None, series.topic not in MAIN_TOPICS, -series.size, series.topic
 
 
 # Runs
@@ -249,20 +270,21 @@ def _matrix(
     name: str, series: Series, inside: npt.NDArray[np.intp], found: list[Fault]
 ) -> tuple[npt.NDArray[np.intp], tuple[str, ...], npt.NDArray[np.float64]]:
     """Values in the columns that most messages have; the same joints in another order are sorted in."""
+    whole = series.table()
+    if whole is not None:
+        columns = series.columns[0]
+        return (inside, (), whole[inside, 0]) if len(columns) == 1 else (inside, columns, whole[inside])
     usual = Counter(series.columns[i] for i in inside).most_common(1)[0][0]
     same = frozenset(usual)
     kept = np.array([i for i in inside if series.columns[i] == usual or _permuted(series.columns[i], same, usual)])
-    rows = []
-    for i in kept:
-        names, values = series.columns[i], series.values[i]
-        if names != usual:
-            by_name = dict(zip(names, values, strict=True))
-            values = [by_name[column] for column in usual]
-        rows.append(values)
+    y = np.empty((kept.size, len(usual)))
+    for row, i in enumerate(kept):
+        names, values = series.columns[i], series.values(i)
+        by_name = {} if names == usual else dict(zip(names, values, strict=True))
+        y[row] = [by_name[column] for column in usual] if by_name else values
     if kept.size < inside.size:
         other = int(inside.size - kept.size)
         found.append(Fault("other_joints", other, f"{name}: {other} messages name other joints than most; dropped"))
-    y = np.array(rows, dtype=np.float64)
     return (kept, (), y[:, 0]) if len(usual) == 1 else (kept, usual, y)
 
 

@@ -115,3 +115,28 @@ def test_the_page_of_a_comparison(place, capsys, tmp_path):
     found = compared(capsys, folder / "log.mcap", *words)
     assert found["outputs"]["report"] == str(page)
     assert "mx106.json, mrad" in page.read_text()
+
+
+def test_measured_and_simulated_side_by_side(place, capsys, tmp_path):
+    """One MCAP has both on topics of their own; read again, the simulated ones stay beside the measured ones."""
+    folder, _, _, _ = place
+    out = tmp_path / "both.mcap"
+    words = ("--model", folder / "nominal.xml", "--fit", folder / "fits" / "mx106.json", "--mcap", out)
+    found = compared(capsys, folder / "log.mcap", *words)
+    assert found["outputs"]["mcap"] == str(out)
+    measured, both = read_log(folder / "log.mcap"), read_log(out)
+    assert len(both) == len(measured)
+    for one, other in zip(measured, both, strict=True):
+        np.testing.assert_array_equal(other.signal("position").y, one.signal("position").y)
+        for name, topic in (("mx106.json", "/sim/joint_states"), ("nominal", "/sim/nominal/joint_states")):
+            simulated = other.signal(f"position@{topic}")
+            np.testing.assert_allclose(simulated.t, one.signal("position").t, atol=1e-9)
+            error = np.abs(simulated.y - one.signal("position").y).mean()
+            assert error == pytest.approx(found["candidates"][name]["by_log"][one.name], rel=1e-6)
+        assert other.extra["simulated"] == {"nominal": "/sim/nominal/", "mx106.json": "/sim/"}
+    again = compared(capsys, out, *words[:4])
+    assert list(again["misfit"]["by_log"].values()) == pytest.approx(list(found["misfit"]["by_log"].values()), rel=1e-6)
+    parser = argparse.ArgumentParser(prog="frasa-sysid")
+    compare.add_parser(parser.add_subparsers(required=True))
+    assert run_command(parser, ["compare", *map(str, (out, *words[:4], "--mcap", out))]) == 2
+    assert "is one of the logs" in capsys.readouterr().err

@@ -7,7 +7,7 @@ import pytest
 from mcap.reader import make_reader
 
 from frasa_sysid.calibration.command_line import run_command
-from frasa_sysid.commands import importing, inspect
+from frasa_sysid.commands import import_formats, importing, inspect
 from frasa_sysid.errors import LogError
 from frasa_sysid.readers import read_log
 from frasa_sysid.readers.bam import read_bam
@@ -188,7 +188,7 @@ def test_sources_that_would_collide(tmp_path):
 )
 def test_stem(tmp_path, name, stem):
     """Only the endings of a format go."""
-    assert importing.stem(tmp_path / name) == stem
+    assert import_formats.stem(tmp_path / name) == stem
 
 
 def test_real_bench_with_its_rig_table(tmp_path, shared_dir):
@@ -200,7 +200,7 @@ def test_real_bench_with_its_rig_table(tmp_path, shared_dir):
     sources = sorted(folder.glob("*.json.gz"))[::6]
     assert frasa("import", *sources, "--format", "bam", "--out", tmp_path, "--rig-table", table) == 0
     for source in sources:
-        recording = read_log(tmp_path / f"{importing.stem(source)}.mcap")[0]
+        recording = read_log(tmp_path / f"{import_formats.stem(source)}.mcap")[0]
         assert recording.rig.inertia > 0.006
         assert 0.5 < recording.rig.gravity_torque < 1.5
         assert recording.faults == read_bam(source)[0].faults

@@ -96,7 +96,8 @@ def test_not_a_log(tmp_path):
     [
         (b'{"mass": 1, "entries": []}', "--format bam"),
         (b"StartOfNewTest 0\n", "--format dynaban"),
-        (b"#ROSBAG V2.0\n", "mcap convert"),
+        (b"#ROSBAG V2.0\n", "--format rosbag"),
+        (b"PAR1", "--format parquet --map"),
     ],
 )
 def test_foreign_logs_are_sent_to_import(tmp_path, content, advice):
