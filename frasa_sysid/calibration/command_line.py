@@ -58,7 +58,7 @@ def add_json_flag(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object on standard output")
 
 
-def add_report_arguments(parser: argparse.ArgumentParser, usual: Path) -> None:
+def add_report_arguments(parser: argparse.ArgumentParser, usual: Path | str) -> None:
     """Give a subcommand `--report` and `--no-report`.
 
     Args:
