@@ -56,7 +56,7 @@ class Shots:
 def film_standup(
     controller: Controller, conditions: Conditions, side: Side, seconds: float = LIMIT_S, shots: Shots | None = None
 ) -> Film:
-    """Film the first stand-up trial from a side, until a second after it stood up or time is up.
+    """Film the first stand-up trial from a side, until some time after it stood up (`Shots.more_s`) or time is up.
 
     Raises:
         RenderError: this machine cannot draw.
@@ -81,7 +81,7 @@ def film_standup(
 def film_push(
     controller: Controller, conditions: Conditions, cell: Cell, seconds: float = LIMIT_S, shots: Shots | None = None
 ) -> Film:
-    """Film the first trial of a push from its release on, until a second after it is stable or time is up.
+    """Film the first trial of a push from its release on, until some time after it is stable or time is up.
 
     Raises:
         RenderError: this machine cannot draw.

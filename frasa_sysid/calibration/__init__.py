@@ -2,7 +2,8 @@
 
     FitResult -> Calibration -> calibrated.xml + randomization.yaml -> StandUp
 
-Imports numpy, mujoco and yaml only, so that a policy can be trained without the fitter.
+Imports numpy, mujoco and yaml only, so that a policy can be trained without the fitter. `page` and `figures`, the look
+of all pages that both packages leave, stand here too, for nothing else is known to both.
 """
 
 from frasa_sysid.calibration.apply import (
