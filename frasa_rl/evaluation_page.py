@@ -65,7 +65,7 @@ def _standup_card(side: str, one: dict[str, Any]) -> Html:
     paper, mean = one["paper_s"]["agent"][0], one["time_mean_s"]
     if mean is None:
         return card(f"from {side}", "0 %", "stand up", share)
-    return card(f"from {side}", f"{mean:.2f}", "s", f"{share}; the paper's agent: {paper:.2f} s")
+    return card(f"from {side}", f"{mean:.2f}", "s", f"{share}; the paper's agent: {paper:g} s")
 
 
 def _origins(result: dict[str, Any]) -> Html:

@@ -15,6 +15,11 @@ if TYPE_CHECKING:
 
 _WIDTH = 0.27
 _COLOURS = {"simulated": BLUE, "paper: agent": ORANGE, "paper: keyframes": GREY}
+_MEANING = {
+    "simulated": "simulated; dots are trials, above them how many succeeded",
+    "paper: agent": "paper: agent, on the robot",
+    "paper: keyframes": "paper: keyframes, on the robot",
+}
 FORMATS = (".png", ".svg", ".pdf")
 
 
@@ -93,8 +98,8 @@ def _ours(one: dict[str, Any], what: str) -> dict[str, Any]:
 
 def _bars(axes: Any, rows: list[tuple[str, dict[str, Any], dict[str, float | None]]], title: str, label: str) -> None:  # noqa: ANN401 - matplotlib is untyped
     """Groups of bars; how many trials succeeded stands above ours."""
-    for name in ("simulated", "paper: agent", "paper: keyframes"):  # for the legend, whatever there is
-        axes.bar(0, 0.0, _WIDTH, color=_COLOURS[name], label=f"{name} (on the robot)" if "paper" in name else name)
+    for name in _MEANING:  # for the legend, whatever there is
+        axes.bar(0, 0.0, _WIDTH, color=_COLOURS[name], label=_MEANING[name])
     for place, (_, ours, paper) in enumerate(rows):
         mean = ours["mean"]
         if mean is not None:
@@ -107,7 +112,7 @@ def _bars(axes: Any, rows: list[tuple[str, dict[str, Any], dict[str, float | Non
             if value is not None:
                 key = f"paper: {name}"
                 axes.bar(place + offset * _WIDTH, value, _WIDTH * 0.92, color=_COLOURS[key])
-    axes.set(title=f"{title}: trials that succeeded above each bar, dots are trials", ylabel=label)
+    axes.set(title=title, ylabel=label)
     middle = [place + 0.5 * _WIDTH * len(paper) for place, (_, _, paper) in enumerate(rows)]
     axes.set_xticks(middle, [name for name, _, _ in rows])
     axes.grid(visible=False, axis="x")

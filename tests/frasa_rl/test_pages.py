@@ -188,7 +188,7 @@ def test_the_page_of_an_evaluation(results, nominal, tmp_path, page_text):
     for one in (
         "prone 2 100% 2.500 ± 0.500 2.135 ± 0.042 3.154", "supine 1 0% - 2.678 ± 0.178 5.060",
         "front 4.0 J 1 100% 0 0 0 0.50 ± 0.00 0.54", "back 7.3 J 1 0% 1 0 0 - -",
-        "from prone 2.50 s 100 % of 2 trials; the paper's agent: 2.13 s", "pushes 1 of 2 stable again",
+        "from prone 2.50 s 100 % of 2 trials; the paper's agent: 2.135 s", "pushes 1 of 2 stable again",
         "largest torque of any servo at any instant 7.5 N m", "measured on the robot itself", "10000",
         "The simulation blew up in 1 trials",
     ):  # fmt: skip
