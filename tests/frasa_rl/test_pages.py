@@ -238,7 +238,7 @@ def test_the_page_of_a_sweep(run, tmp_path, page_text):
     assert "The best by the protocol" not in page_text(write_sweep_page(sweep, agents, None))
 
 
-def test_the_page_of_the_demo(run, results, robot_model_dir, tmp_path, page_text):
+def test_the_page_of_the_demo(run, results, robot_model_dir, tmp_path, page_text, law_as_before):
     """The published fits, the run and both evaluations on one page of the same look."""
     fit = json.loads((robot_model_dir / "fits" / "mx106.json").read_text())
     fit |= {"seconds": 12.0, "outputs": {"report": None}}
