@@ -79,9 +79,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "--model", str(MODEL), *budget, "--out", str(training),
     )  # fmt: skip
     trials = ("--trials", str(args.trials), "--push-trials", str(args.push_trials))
-    demo.run("Evaluate", "evaluate", "frasa-rl", "evaluate", str(training), *trials)
+    demo.run("Evaluate", "evaluate", "frasa-rl", "evaluate", str(training), *trials,
+             "--report", str(args.out / "evaluation.html"))  # fmt: skip
     demo.run("Evaluate doing nothing", "nothing", "frasa-rl", "evaluate", "nothing",
-             "--model", str(MODEL), *trials)  # fmt: skip
+             "--model", str(MODEL), *trials, "--no-report")  # fmt: skip
     film = args.out / "standup.webp"
     demo.run("Film a trial", "play", "frasa-rl", "play", str(training), "--video", str(film))
     page = write_page(args.out, demo.steps, demo.results, training, film, MODEL)

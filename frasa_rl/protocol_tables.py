@@ -29,7 +29,12 @@ def tables(result: dict[str, Any]) -> str:
 
 
 def standup_table(rows: dict[str, Any]) -> str:
-    """Stand-up: from the first movement until all six errors stay below 5 deg for 0.5 s."""
+    """The rows of `standup_cells`, aligned."""
+    return _aligned(standup_cells(rows))
+
+
+def standup_cells(rows: dict[str, Any]) -> list[list[str]]:
+    """Stand-up, heads first: from the first movement until all six errors stay below 5 deg for 0.5 s."""
     head = ["stand-up", "trials", "stood up", "time [s]", "paper: agent", "paper: keyframes"]
     lines = []
     for side, one in rows.items():
@@ -38,11 +43,16 @@ def standup_table(rows: dict[str, Any]) -> str:
             side, str(one["trials"]), f"{one['success_rate']:.0%}", spread(one["time_mean_s"], one["time_std_s"], 3),
             spread(*paper["agent"], 3), spread(*paper["keyframes"], 3),
         ])  # fmt: skip
-    return _aligned([head, *lines])
+    return [head, *lines]
 
 
 def push_table(rows: list[dict[str, Any]]) -> str:
-    """Pushes: from the first deviation above 5 deg until stable again."""
+    """The rows of `push_cells`, aligned."""
+    return _aligned(push_cells(rows))
+
+
+def push_cells(rows: list[dict[str, Any]]) -> list[list[str]]:
+    """Pushes, heads first: from the first deviation above 5 deg until stable again."""
     head = ["push", "trials", "stable again", "falls", "not standing", "missed", "instability [s]", "paper: agent"]
     lines = []
     for one in rows:
@@ -52,7 +62,7 @@ def push_table(rows: list[dict[str, Any]]) -> str:
             str(one["falls"]), str(one["not_standing"]), str(one["missed"]),
             spread(one["instability_mean_s"], one["instability_std_s"]), spread(paper, None),
         ])  # fmt: skip
-    return _aligned([head, *lines])
+    return [head, *lines]
 
 
 def _strain_lines(strain: dict[str, float]) -> str:

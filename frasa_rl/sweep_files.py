@@ -2,6 +2,7 @@
 
 OUT/sweep.json     what all agents have in common, seeds, versions, and how each of them ended
 OUT/sweep.csv      one row an agent (`sweep_table`);  sweep.png: the spread of return and success
+OUT/report.html   a page of it all
 OUT/rank.json      the best of them by the paper's protocol, where that was asked for
 OUT/seed-0007/     an ordinary run folder, with agent.log and, once it is over, result.json
 OUT/stop           whoever makes this file ends the sweep, with everything saved

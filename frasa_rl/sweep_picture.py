@@ -3,7 +3,7 @@
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,11 +11,15 @@ from frasa_rl.config import Task
 from frasa_rl.curve import still_return
 from frasa_rl.sweep_table import Curve, curve, spread
 from frasa_sysid.calibration import write_atomic
+from frasa_sysid.calibration.figures import BLUE, RED, look
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 PICTURE_FILE = "sweep.png"
-_COLOURS = {"return": "tab:blue", "success": "tab:orange"}  # told apart by all eyes
-_LABELS = {"return": "return of an episode", "success": "held-out falls that end standing [%]"}
-_AXES = {"steps": "transitions", "minutes": "training time [min]"}
+_COLOURS = {"return": BLUE, "success": RED}
+_LABELS = {"return": "return of an episode", "success": "held-out falls that end standing, %"}
+_AXES = {"steps": "transitions", "minutes": "training time, min"}
 
 
 def draw_sweep(out: Path, runs: Sequence[Path], task: Task) -> Path | None:
@@ -32,17 +36,28 @@ def draw_sweep(out: Path, runs: Sequence[Path], task: Task) -> Path | None:
     Raises:
         ModuleNotFoundError: matplotlib is not installed.
     """
+    content = io.BytesIO()
+    with look():
+        figure = sweep_figure(runs, task)
+        if figure is None:
+            return None
+        figure.savefig(content, dpi=120, format="png")
+    write_atomic(out / PICTURE_FILE, content.getvalue())
+    return out / PICTURE_FILE
+
+
+def sweep_figure(runs: Sequence[Path], task: Task) -> "Figure | None":
+    """The figure, to be drawn inside `look`; None without rows."""
     from matplotlib.figure import Figure  # no pyplot: no window, no global state
 
     panels = {(what, against): _curves(runs, what, against) for what in _LABELS for against in _AXES}
     many = len(panels["return", "steps"])
     if not many:
         return None
-    figure = Figure(figsize=(10.0, 6.4), layout="constrained")
+    figure = Figure(figsize=(11.0, 6.4), layout="constrained")
     axes = figure.subplots(2, 2, sharex="col", sharey="row")
     for one, ((what, _), curves) in zip(axes.flat, panels.items(), strict=True):
         _panel(one, curves, _COLOURS[what])
-        one.grid(alpha=0.3)
     _references(axes, task)
     for one, label in zip(axes[:, 0], _LABELS.values(), strict=True):
         one.set_ylabel(label)
@@ -53,12 +68,9 @@ def draw_sweep(out: Path, runs: Sequence[Path], task: Task) -> Path | None:
     axes[1, 0].set_ylim(-2, 102)
     for one in axes[:, 1]:
         if one.get_legend_handles_labels()[0]:
-            one.legend(loc="lower right", fontsize=8)
-    figure.suptitle(f"{out.name}: {many} agent{'s' if many > 1 else ''}")
-    content = io.BytesIO()
-    figure.savefig(content, dpi=120, format="png")
-    write_atomic(out / PICTURE_FILE, content.getvalue())
-    return out / PICTURE_FILE
+            one.legend(loc="lower right")
+    figure.suptitle(f"{many} agent{'s' if many > 1 else ''}")
+    return figure
 
 
 def _curves(runs: Sequence[Path], what: str, against: str) -> list[Curve]:

@@ -3,6 +3,7 @@
 runs/NAME/run.yaml            settings, task, model, calibration id, seeds, versions
 runs/NAME/progress.csv        return and more against steps and minutes;  learning_curve.png at the end
 runs/NAME/evaluations.csv     success on held-out falls
+runs/NAME/report.html         a page of it all, by `frasa-rl train`
 runs/NAME/policy/             the best policy so far on held-out falls, loadable without torch
 runs/NAME/latest/             the newest one
 runs/NAME/checkpoints/        the newest checkpoint: all that the run needs to go on as if it had never stopped

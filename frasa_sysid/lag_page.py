@@ -3,9 +3,9 @@
 import math
 from collections.abc import Sequence
 
+from frasa_sysid.calibration.page import Html, page, section, table, tag
 from frasa_sysid.lag import Lag
 from frasa_sysid.lag_joint import Joint
-from frasa_sysid.report_html import Html, page, section, table, tag
 
 _GOOD = ("identified",)
 _FAIR = ("known roughly", "periodic")

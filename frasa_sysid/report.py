@@ -1,4 +1,4 @@
-"""Pages a person would rather look at than read: one HTML file each, pictures inside, opens offline."""
+"""The page of a fit: one HTML file, pictures inside, opens offline."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,14 +9,13 @@ from frasa_sysid import report_figures as figures
 from frasa_sysid import report_tables as tables
 from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.calibration import write_atomic
-from frasa_sysid.cost import misfit
+from frasa_sysid.calibration.figures import has_matplotlib, image, look
+from frasa_sysid.calibration.page import Html, join, page, section, tag
 from frasa_sysid.fit import FitResult, nominal_candidate, simulated
 from frasa_sysid.fit_record import Extras
-from frasa_sysid.report_figures import Trace, has_matplotlib, image
-from frasa_sysid.report_html import Html, join, page, section, table, tag
+from frasa_sysid.report_figures import Trace
+from frasa_sysid.report_residuals import error_picture, residual_picture
 from frasa_sysid.rig import BenchRun
-
-__all__ = ["Trace", "write_fit_report", "write_trace_report"]
 
 _SHOWN = 8  # runs drawn; all of them are in the table
 
@@ -39,47 +38,38 @@ def write_fit_report(
     if not has_matplotlib():
         return None
     problem = result.problem
-    errors = {**result.fitted.by_run, **result.held_out.by_run}
-    held = {run.name for run in problem.held_out}
-    runs = shown([*problem.train, *problem.held_out], errors, held)
+    runs = [*problem.train, *problem.held_out]
     kernel = session.kernel(runs)
     nominal = kernel.split(kernel.readings(nominal_candidate(problem)[None])[0])
     fitted = simulated(result, session, runs)
     traces = [Trace(run, {"nominal": a, "fitted": b}) for run, a, b in zip(runs, nominal, fitted, strict=True)]
-    parts = [
-        tables.summary(result, extras),
-        section("Numbers", tables.parameter_table(result, extras)),
-        section("What to record next", tables.record_next(result, beforehand)),
-        section("Simulated over measured", _traces(traces, held, errors)),
-        section("How the numbers move together", _correlation(result), _profiles(result)),
-        section("Which friction law, which effects", _choice(result, extras)),
-        section("Coulomb-viscous stand-in", tables.stand_in_text(extras.stand_in) if extras.stand_in else ""),
-        section("Restarts", tables.restart_table(result), _search(result)),
-        section("Error of every run", tables.run_table(result)),
-        section("What this rests on", tables.origins(result)),
-    ]
+    with look():
+        parts = _parts(result, extras, traces, beforehand)
     write_atomic(path, page(f"{problem.servo.name}: fit of {len(problem.train)} runs", parts))
     return path
 
 
-def write_trace_report(path: Path, title: str, traces: Sequence[Trace]) -> Path | None:
-    """Write a page of traces and errors only; None where matplotlib is not installed."""
-    if not has_matplotlib():
-        return None
+def _parts(result: FitResult, extras: Extras, traces: Sequence[Trace], beforehand: Sequence[str]) -> list[Html]:
+    """The summary and all sections."""
+    held = {run.name for run in result.problem.held_out}
     runs = [trace.run for trace in traces]
-    names = list(dict.fromkeys(name for trace in traces for name in trace.readings))
-    errors = {name: misfit(runs, [trace.readings[name] for trace in traces]).by_run for name in names}
-    last = errors[names[-1]] if names else {}
-    drawn = {run.name for run in shown(runs, last, set())}
-    order = sorted(runs, key=lambda run: -last.get(run.name, 0.0))
-    rows = [[run.name, *(f"{errors[name][run.name] * 1e3:.1f}" for name in names)] for run in order]
-    heads = ("run", *(f"{name}, mrad" for name in names))
-    parts = [
-        _traces([trace for trace in traces if trace.run.name in drawn], set(), last),
-        section("Error of every run", table(heads, rows, range(1, len(heads)), css="sort")),
+    errors = {
+        "nominal": {**result.nominal.by_run, **result.held_out_nominal.by_run},
+        "fitted": {**result.fitted.by_run, **result.held_out.by_run},
+    }
+    return [
+        tables.summary(result, extras),
+        section("Numbers", tables.parameter_table(result, extras)),
+        section("What to record next", tables.record_next(result, beforehand)),
+        section("Simulated over measured", trace_picture(traces, held, errors["fitted"])),
+        section("Residuals", residual_picture(traces)),
+        section("How the numbers move together", _correlation(result), _profiles(result)),
+        section("Which friction law, which effects", _choice(result, extras)),
+        section("Coulomb-viscous stand-in", tables.stand_in_text(extras.stand_in) if extras.stand_in else ""),
+        section("Restarts", tables.restart_table(result), _search(result)),
+        section("Error of every run", error_picture(errors, runs, held), tables.run_table(result)),
+        section("What this rests on", tables.origins(result)),
     ]
-    write_atomic(path, page(title, parts))
-    return path
 
 
 def shown(runs: Sequence[BenchRun], errors: Mapping[str, float], held: set[str]) -> list[BenchRun]:
@@ -109,10 +99,20 @@ def shown(runs: Sequence[BenchRun], errors: Mapping[str, float], held: set[str])
     return sorted(picked, key=lambda run: (run.name in held, run.trajectory, run.group, run.name))
 
 
-def _traces(traces: Sequence[Trace], held: set[str], errors: Mapping[str, float]) -> Html:
+def trace_picture(traces: Sequence[Trace], held: set[str], errors: Mapping[str, float]) -> Html:
+    """Some of the runs, simulated over measured.
+
+    Args:
+        traces: of all runs.
+        held: names of those held out.
+        errors: by run, which decide what is drawn.
+    """
+    names = [run.name for run in shown([trace.run for trace in traces], errors, held)]
+    by_name = {trace.run.name: trace for trace in traces}
     worst = max(errors, key=lambda name: errors[name]) if errors else ""
     words = "Grey where the torque is off. The error panels are scaled to the better candidate; others may leave them."
-    picture = image(figures.trace_figure(traces, held, worst), "simulated over measured angle, with errors below")
+    figure = figures.trace_figure([by_name[name] for name in names], held, worst)
+    picture = image(figure, "simulated over measured angle, with errors below")
     return join([tag("p", tag("small", words)), picture]) if traces else Html()
 
 

@@ -1,7 +1,5 @@
 """Plots of the report pages: drawn by matplotlib, put into the page as pictures."""
 
-import base64
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
@@ -9,11 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frasa_sysid.calibration import say
+from frasa_sysid.calibration.figures import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, SKY
 from frasa_sysid.choice import Choice, Trial
 from frasa_sysid.fit import FitResult
 from frasa_sysid.recording import FloatArray
-from frasa_sysid.report_html import Html, esc
 from frasa_sysid.resampling import Profile
 from frasa_sysid.rig import BenchRun
 
@@ -23,10 +20,9 @@ if TYPE_CHECKING:
 
 READABLE = 25  # parameters whose names and numbers fit into a map
 _WITH_NUMBERS = 18  # of which every cell can hold one
-COLOURS = {"nominal": "#c44e52", "fitted": "#1f6fb2"}
-OTHERS = ("#1f6fb2", "#2a9d5c", "#8856a7", "#d98a00", "#17becf", "#7f7f7f")
-_PIXELS = 104  # of the page for an inch of a figure; it is drawn finer, for screens that show more
-_SMALL: dict[str, Any] = {"fontsize": 8, "parse_math": False}  # a name with a dollar sign is no formula
+KNOWN = {"nominal": RED, "before": RED, "fitted": BLUE}
+OTHERS = (BLUE, GREEN, PURPLE, ORANGE, SKY, GREY)
+HELD_OUT = "#8a5200"
 
 
 @dataclass(frozen=True)
@@ -42,24 +38,20 @@ class Trace:
     readings: Mapping[str, FloatArray]
 
 
-def has_matplotlib() -> bool:
-    """Whether pictures can be drawn; says so where they cannot."""
-    try:
-        import matplotlib
-    except ImportError:
-        say("no report page: matplotlib is not installed (pip install 'frasa[report]')")
-        return False
-    matplotlib.use("Agg")
-    return True
+def colours_of(names: Sequence[str]) -> dict[str, str]:
+    """A colour for each candidate: what was there before in red, what was found in blue, others as they come."""
+    known = {name: KNOWN[name] for name in names if name in KNOWN}
+    others = cycle([one for one in OTHERS if one not in known.values()])
+    return {name: known.get(name) or next(others) for name in names}
 
 
-def image(figure: "Figure", meaning: str) -> Html:
-    """A figure as an element of the page; the same figure gives the same bytes."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
-    data = base64.b64encode(buffer.getvalue()).decode()
-    width = round(float(figure.get_figwidth()) * _PIXELS)
-    return Html(f'<img alt="{esc(meaning)}" width="{width}" src="data:image/png;base64,{data}">')
+def legend_above(figure: "Figure", axes: "Sequence[Axes]") -> None:
+    """One legend over all panels, with whatever any of them shows."""
+    found: dict[str, Any] = {}
+    for ax in axes:
+        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+    figure.legend(found.values(), found.keys(), loc="outside upper left", ncols=6, frameon=False)
 
 
 def trace_figure(traces: Sequence[Trace], held: set[str], worst: str = "") -> "Figure":
@@ -75,8 +67,7 @@ def trace_figure(traces: Sequence[Trace], held: set[str], worst: str = "") -> "F
     rows = (len(traces) + 1) // 2
     figure = Figure(figsize=(11, 3.1 * rows + 0.3), layout="constrained")
     names = list(dict.fromkeys(name for trace in traces for name in trace.readings))
-    others = cycle(OTHERS)
-    colours = {name: COLOURS.get(name) or next(others) for name in names}
+    colours = colours_of(names)
     cells = np.ravel(figure.subfigures(rows, 2, squeeze=False, hspace=0.02))
     for cell, trace in zip(cells, traces, strict=False):
         above, below = cell.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (2.6, 1)})
@@ -84,12 +75,8 @@ def trace_figure(traces: Sequence[Trace], held: set[str], worst: str = "") -> "F
         kind = ["held out"] if trace.run.name in held else []
         kind += ["worst run"] if trace.run.name == worst else []
         # Another colour, so that what was never fitted is seen at a glance.
-        above.set_title(
-            " - ".join([_title(trace), *kind]), fontsize=9, parse_math=False, color="#8a5200" if kind else "#1d2733"
-        )
-    if traces:
-        handles, labels = cells[0].axes[0].get_legend_handles_labels()
-        cells[0].axes[0].legend(handles, labels, fontsize=7.5, framealpha=0.85)
+        above.set_title(" - ".join([_title(trace), *kind]), color=HELD_OUT if kind else INK)
+    legend_above(figure, [cell.axes[0] for cell in cells if cell.axes])
     return figure
 
 
@@ -113,12 +100,10 @@ def _draw(above: "Axes", below: "Axes", trace: Trace, colours: Mapping[str, str]
         for ax in (above, below):
             ax.axvspan(start, end, color="#9aa7b5", alpha=0.2, lw=0, label=label if ax is above else None)
         label = ""
-    above.set_ylabel("angle, rad", fontsize=8)
-    below.set_ylabel("error, mrad", fontsize=8)
-    below.set_xlabel("time, s", fontsize=8)
+    above.set_ylabel("angle, rad")
+    below.set_ylabel("error, mrad")
+    below.set_xlabel("time, s")
     for ax in (above, below):
-        ax.tick_params(labelsize=7.5)
-        ax.grid(alpha=0.25, lw=0.5)
         ax.margins(x=0.01)
 
 
@@ -146,23 +131,23 @@ def correlation_figure(names: Sequence[str], correlation: FloatArray) -> "Figure
     figure.set_layout_engine("constrained", w_pad=0.15)  # [inch] the longest name fills its margin otherwise
     ax = figure.subplots()
     picture = ax.imshow(correlation, vmin=-1, vmax=1, cmap="RdBu_r")
+    ax.grid(visible=False)
     if n <= READABLE:
-        ax.set_xticks(range(n), names, rotation=45, ha="right", rotation_mode="anchor", **_SMALL)
-        ax.set_yticks(range(n), names, **_SMALL)
+        ax.set_xticks(range(n), names, rotation=45, ha="right", rotation_mode="anchor")
+        ax.set_yticks(range(n), names)
     else:
         ax.set_xlabel("parameters in the order of the table")
     if n <= _WITH_NUMBERS:
         for (i, j), value in np.ndenumerate(correlation):
             if i != j and abs(value) >= 0.1:
                 ax.text(j, i, f"{value:.1f}", ha="center", va="center", fontsize=7, color=_over(value))
-    bar = figure.colorbar(picture, ax=ax, shrink=0.8)
-    bar.ax.tick_params(labelsize=8)
+    figure.colorbar(picture, ax=ax, shrink=0.8)
     return figure
 
 
 def _over(value: float) -> str:
     """A text colour that is seen on the map's own."""
-    return "white" if abs(value) > 0.6 else "#1d2733"
+    return "white" if abs(value) > 0.6 else INK
 
 
 def profile_figure(profiles: Sequence[Profile], cost: float) -> "Figure":
@@ -174,15 +159,13 @@ def profile_figure(profiles: Sequence[Profile], cost: float) -> "Figure":
     figure = Figure(figsize=(3.6 * columns, 2.7 * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax, one in zip(axes, profiles, strict=False):
-        ax.plot(one.values, 100.0 * np.array(one.rise) / cost, "o-", color="#1f6fb2", ms=4, lw=1.3)
+        ax.plot(one.values, 100.0 * np.array(one.rise) / cost, "o-", color=BLUE, ms=4, lw=1.3)
         for limit in (one.low, one.high):
             if limit is not None:
-                ax.axvline(limit, color="#d98a00", lw=1.0, ls="--")
-        ax.set_title(f"{one.name}\nheld; most tied to {one.partner}", **_SMALL)
-        ax.set_ylabel("rise of the cost, %", fontsize=8)
+                ax.axvline(limit, color=ORANGE, lw=1.0, ls="--")
+        ax.set_title(f"{one.name}\nheld; most tied to {one.partner}")
+        ax.set_ylabel("rise of the cost, %")
         ax.locator_params(axis="x", nbins=5)
-        ax.tick_params(labelsize=7.5)
-        ax.grid(alpha=0.25, lw=0.5)
     for ax in axes[len(profiles) :]:
         ax.set_visible(False)
     return figure
@@ -198,17 +181,15 @@ def choice_figure(choice: Choice, trials: Sequence[Trial], chosen: int) -> "Figu
     ax = figure.subplots()
     places, width = np.arange(len(labels)), 0.8 / len(trials)
     for i, (trial, errors) in enumerate(zip(trials, table, strict=True)):
-        shade = "#1f6fb2" if i == chosen else str(0.86 - 0.4 * i / len(trials))
+        shade = BLUE if i == chosen else str(0.86 - 0.4 * i / len(trials))
         name = " + ".join((trial.law, *trial.effects)) + (" (chosen)" if i == chosen else "")
         ax.bar(places + (i - (len(trials) - 1) / 2) * width, errors, width * 0.92, color=shade, label=name)
     if table.min() > 0.0 and table.max() > 8.0 * table.min():
         _set_log(ax)
         ax.set_ylim(bottom=0.6 * table.min())
-    ax.set_xticks(places, labels, **_SMALL)
-    ax.set_ylabel("held-out error, mrad", fontsize=8)
-    ax.tick_params(axis="y", labelsize=8)
-    ax.grid(axis="y", which="both", alpha=0.25, lw=0.5)
-    ax.set_axisbelow(True)
+    ax.set_xticks(places, labels)
+    ax.set_ylabel("held-out error, mrad")
+    ax.grid(visible=False, axis="x")
     columns = min(len(trials), 6)
     legend = ax.legend(fontsize=8, ncols=columns, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
     for text in legend.get_texts():
@@ -237,10 +218,9 @@ def search_figure(result: FitResult) -> "Figure":
 
     figure = Figure(figsize=(6.5, 2.6), layout="constrained")
     ax = figure.subplots()
-    ax.plot(np.arange(1, len(result.trace) + 1), np.array(result.trace) * 1e3, color="#1f6fb2", lw=1.4)
+    ax.plot(np.arange(1, len(result.trace) + 1), np.array(result.trace) * 1e3, color=BLUE, lw=1.4)
     _set_log(ax)
-    ax.set_xlabel("generation of CMA-ES", fontsize=8)
-    ax.set_ylabel("robust cost, mrad", fontsize=8)
-    ax.tick_params(which="both", labelsize=7.5)
-    ax.grid(which="both", alpha=0.25, lw=0.5)
+    ax.set_xlabel("generation of CMA-ES")
+    ax.set_ylabel("robust cost, mrad")
+    ax.grid(which="both")
     return figure

@@ -8,8 +8,9 @@ import numpy as np
 
 from frasa_sysid import report_robot_tables as tables
 from frasa_sysid.calibration import write_atomic
-from frasa_sysid.report_figures import READABLE, correlation_figure, has_matplotlib, image
-from frasa_sysid.report_html import Html, join, page, section, tag
+from frasa_sysid.calibration.figures import has_matplotlib, image, look
+from frasa_sysid.calibration.page import Html, join, page, section, table, tag
+from frasa_sysid.report_figures import READABLE, correlation_figure
 from frasa_sysid.report_robot_traces import joint_traces, residual_sizes, trunk_traces
 from frasa_sysid.robot_errors import Compared
 from frasa_sysid.robot_fit import RobotFit
@@ -47,7 +48,15 @@ def write_robot_report(path: Path, one: RobotPage) -> Path | None:
     """
     if not has_matplotlib():
         return None
-    parts = [
+    with look():
+        parts = _parts(one)
+    count = len(one.fit.problem.runs)
+    write_atomic(path, page(f"Whole robot: fit of {count} log{'s' if count > 1 else ''}", parts))
+    return path
+
+
+def _parts(one: RobotPage) -> list[Html]:
+    return [
         tables.summary(one.fit, one.record, one.servos),
         section("Numbers", tables.number_table(one.fit, one.record), tables.physical_delays(one.fit)),
         section("What to record next", tables.record_next(one.record)),
@@ -58,28 +67,31 @@ def write_robot_report(path: Path, one: RobotPage) -> Path | None:
         section("How the numbers move together", _correlation(one.fit)),
         section("What this rests on", tables.origins(one.fit, one.record)),
     ]
-    count = len(one.fit.problem.runs)
-    write_atomic(path, page(f"Whole robot: fit of {count} log{'s' if count > 1 else ''}", parts))
-    return path
 
 
-def write_robot_comparison(path: Path, title: str, found: Mapping[str, Sequence[Compared]]) -> Path | None:
+def write_robot_comparison(
+    path: Path, title: str, found: Mapping[str, Sequence[Compared]], inputs: Mapping[str, str]
+) -> Path | None:
     """Write a page of errors and traces only; None where matplotlib is not installed.
 
     Args:
         path: HTML file to make.
         title: of the page.
         found: by robot, the last one decides what is drawn.
+        inputs: sha256 by log.
     """
     if not has_matplotlib():
         return None
-    parts = [
-        section("Errors by channel", tables.channels(found)),
-        section("Joints", joint_traces(found, {})),
-        section("Trunk", trunk_traces(found, {})),
-        section("Residuals by joint", residual_sizes(found)),
-        section("Error of every log", tables.logs(found)),
-    ]
+    with look():
+        parts = [
+            tables.error_cards(found),
+            section("Errors by channel", tables.channels(found)),
+            section("Simulated over measured: joints", joint_traces(found, {})),
+            section("Simulated over measured: trunk", trunk_traces(found, {})),
+            section("Residuals by joint", residual_sizes(found)),
+            section("Error of every log", tables.logs(found)),
+            section("What this rests on", table(("log", "sha256"), [[a, tag("code", b)] for a, b in inputs.items()])),
+        ]
     write_atomic(path, page(title, parts))
     return path
 

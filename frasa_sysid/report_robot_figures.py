@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import cycle
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from frasa_sysid.calibration.figures import INK, ORANGE
 from frasa_sysid.recording import FloatArray
-from frasa_sysid.report_figures import COLOURS, OTHERS
+from frasa_sysid.report_figures import colours_of, legend_above
 from frasa_sysid.robot_errors import Series
 
 if TYPE_CHECKING:
@@ -59,19 +59,9 @@ def panel_figure(panels: Sequence[Panel]) -> "Figure":
     for cell, panel in zip(cells, panels, strict=False):
         above, below = cell.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (2.6, 1)})
         _draw(above, below, panel, colours)
-        above.set_title(panel.title, fontsize=9, parse_math=False, color="#1d2733")
-    handles, labels = cells[0].axes[0].get_legend_handles_labels()
-    legend = cells[0].axes[0].legend(handles, labels, fontsize=7.5, framealpha=0.85)
-    for text in legend.get_texts():
-        text.set_parse_math(False)
+        above.set_title(panel.title, color=INK)
+    legend_above(figure, [cell.axes[0] for cell in cells if cell.axes])
     return figure
-
-
-def colours_of(names: Sequence[str]) -> dict[str, str]:
-    """A colour for each robot; nominal and fitted ones as on the pages of servos."""
-    others = cycle(OTHERS[1:])
-    known = {**COLOURS, "before": COLOURS["nominal"]}
-    return {name: known.get(name) or next(others) for name in names}
 
 
 def _draw(above: "Axes", below: "Axes", panel: Panel, colours: Mapping[str, str]) -> None:
@@ -95,13 +85,11 @@ def _draw(above: "Axes", below: "Axes", panel: Panel, colours: Mapping[str, str]
     if panel.held_from is not None and panel.held_from < end:
         for ax in (above, below):
             label = "held out" if ax is above else None
-            ax.axvspan(max(panel.held_from, start), end, color="#d98a00", alpha=0.12, lw=0, label=label)
-    above.set_ylabel(f"{panel.label}, {panel.unit}", fontsize=8)
-    below.set_ylabel(f"error, {panel.small}", fontsize=8)
-    below.set_xlabel("time, s", fontsize=8)
+            ax.axvspan(max(panel.held_from, start), end, color=ORANGE, alpha=0.12, lw=0, label=label)
+    above.set_ylabel(f"{panel.label}, {panel.unit}")
+    below.set_ylabel(f"error, {panel.small}")
+    below.set_xlabel("time, s")
     for ax in (above, below):
-        ax.tick_params(labelsize=7.5)
-        ax.grid(alpha=0.25, lw=0.5)
         ax.margins(x=0.01)
 
 
@@ -130,13 +118,9 @@ def residual_figure(errors: Mapping[str, Mapping[str, float]]) -> "Figure":
     for i, (name, one) in enumerate(errors.items()):
         lengths = [one.get(joint, 0.0) * 1e3 for joint in joints]
         ax.barh(places + (i - (len(errors) - 1) / 2) * height, lengths, height * 0.92, color=colours[name], label=name)
-    ax.set_yticks(places, joints, fontsize=8, parse_math=False)
+    ax.set_yticks(places, joints)
     ax.invert_yaxis()
-    ax.set_xlabel("mean error of the position, mrad", fontsize=8)
-    ax.tick_params(axis="x", labelsize=8)
-    ax.grid(axis="x", alpha=0.25, lw=0.5)
-    ax.set_axisbelow(True)
-    legend = ax.legend(fontsize=8, framealpha=0.85)
-    for text in legend.get_texts():
-        text.set_parse_math(False)
+    ax.set_xlabel("mean error of the position, mrad")
+    ax.grid(visible=False, axis="y")
+    ax.legend()
     return figure

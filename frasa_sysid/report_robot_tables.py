@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from frasa_sysid.report_html import Html, interval_drawing, join, pill, table, tag
+from frasa_sysid.calibration.page import Html, card, cards, interval_drawing, join, pill, table, tag, warning
 from frasa_sysid.robot_errors import UNITS, Compared, errors_by_channel
 from frasa_sysid.robot_fit import RobotFit
 from frasa_sysid.robot_fit_record import RobotEstimate, RobotFitRecord
@@ -49,9 +49,9 @@ def summary(fit: RobotFit, record: RobotFitRecord, servos: Sequence[str]) -> Htm
         words += f" The bench fits of {', '.join(servos)} were frozen: scales multiply what they say."
     lines = [tag("p", words), *(tag("p", _sentence(one)) for one in record.not_in_model)]
     if not fit.settled.converged:
-        lines.append(tag("div", "The fit ran out of steps before it settled: its numbers may still move.", css="warn"))
+        lines.append(warning("The fit ran out of steps before it settled: its numbers may still move."))
     ending = f"{fit.settled.evaluations} robots simulated, {fit.seconds:.0f} s, seed {problem.seed}"
-    return join([*lines, tag("div", *_cards(fit, record), css="cards"), tag("p", tag("small", ending))], "\n")
+    return join([*lines, cards(_cards(fit, record)), tag("p", tag("small", ending))], "\n")
 
 
 def _sentence(words: str) -> str:
@@ -66,16 +66,13 @@ def _cards(fit: RobotFit, record: RobotFitRecord) -> list[Html]:
         found.append(_card(title, errors["held_out_nominal"], errors["held_out_fitted"]))
     free = [one for one in record.estimates if one.name in {number.name for number in fit.problem.free}]
     known = sum(one.verdict == "identified" for one in free)
-    share = tag("div", tag("b", f"{known} of {len(free)}"))
-    return [*found, tag("div", tag("small", "numbers identified"), share, css="card")]
+    return [*found, card("numbers identified", f"{known} of {len(free)}")]
 
 
 def _card(title: str, before: Mapping[str, tuple[float, float]], after: Mapping[str, tuple[float, float]]) -> Html:
     old, new = before["position"][0] * 1e3, after["position"][0] * 1e3
-    change = tag("span", f"{old:.2f} → ", css="from")
     better = f"mean error, before to fitted: {old / new:.1f} times smaller" if 0.0 < new < old else "mean error"
-    numbers = tag("div", change, tag("b", f"{new:.2f}"), " mrad")
-    return tag("div", tag("small", title), numbers, tag("small", better), css="card")
+    return card(title, f"{new:.2f}", "mrad", better, f"{old:.2f}")
 
 
 def number_table(fit: RobotFit, record: RobotFitRecord) -> Html:
@@ -137,6 +134,13 @@ def error_table(fit: RobotFit) -> Html:
         texts = ["" if pair is None else f"{pair[0] * scale:.3g} (rms {pair[1] * scale:.3g})" for pair in cells]
         rows.append([name, unit, *texts])
     return table(("channel", "unit", *(_STAGES[stage] for stage in stages)), rows, range(2, 2 + len(stages)))
+
+
+def error_cards(found: Mapping[str, Sequence[Compared]]) -> Html:
+    """Mean position error of each robot."""
+    errors = {name: errors_by_channel(one)["position"] for name, one in found.items()}
+    below = {name: f"mean error of the positions; rms {one.rmse * 1e3:.2f} mrad" for name, one in errors.items()}
+    return cards(card(name, f"{one.mae * 1e3:.2f}", "mrad", below[name]) for name, one in errors.items())
 
 
 def channels(found: Mapping[str, Sequence[Compared]]) -> Html:

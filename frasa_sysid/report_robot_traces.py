@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 
-from frasa_sysid.report_figures import image
-from frasa_sysid.report_html import Html, join, tag
+from frasa_sysid.calibration.figures import image
+from frasa_sysid.calibration.page import Html, join, tag
 from frasa_sysid.report_robot_figures import Panel, panel_figure, residual_figure
 from frasa_sysid.robot_errors import Compared, Series, errors_by_channel, series
 

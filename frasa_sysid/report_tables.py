@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from frasa_sysid.calibration.page import Html, card, cards, folded, interval_drawing, join, pill, table, tag, warning
 from frasa_sysid.choice import Choice, Trial
 from frasa_sysid.effects import EFFECTS
 from frasa_sysid.evidence import Estimate
@@ -11,7 +12,6 @@ from frasa_sysid.fit import FitResult
 from frasa_sysid.fit_record import Extras, torque_off
 from frasa_sysid.problem import FreeParameter
 from frasa_sysid.recording import FloatArray
-from frasa_sysid.report_html import Html, interval_drawing, join, pill, table, tag
 from frasa_sysid.search import Stop
 from frasa_sysid.stand_in import StandIn
 
@@ -57,27 +57,22 @@ def summary(result: FitResult, extras: Extras) -> Html:
     words += f" Beside it: {'; '.join(effects)}." if effects else ""
     words += f" {len(problem.free)} numbers were fitted to {_runs(len(problem.train))} of {extras.origin} logs."
     words += f" {_TORQUE_OFF[torque_off(result)]}"
-    cards = [_card("runs it was fitted to", result.nominal.mae_rad, result.fitted.mae_rad)]
+    found = [_card("runs it was fitted to", result.nominal.mae_rad, result.fitted.mae_rad)]
     if problem.held_out:
         title = f"{_runs(len(problem.held_out))} held out ({problem.hold_out_rule})"
-        cards.append(_card(title, result.held_out_nominal.mae_rad, result.held_out.mae_rad))
+        found.append(_card(title, result.held_out_nominal.mae_rad, result.held_out.mae_rad))
     known = sum(one.verdict == "identified" for one in result.evidence.estimates)
-    share = tag("div", tag("b", f"{known} of {len(result.evidence.estimates)}"))
-    cards.append(tag("div", tag("small", "numbers identified"), share, css="card"))
+    found.append(card("numbers identified", f"{known} of {len(result.evidence.estimates)}"))
     ending = tag("small", f"{result.evaluations} evaluations, seed {problem.seed}; {result.stop.value}")
     ages = [] if extras.readout is None else [tag("p", f"Delay: {extras.readout.words()}.")]
-    return join(
-        [tag("p", words), *ages, *_warnings(result, extras), tag("div", *cards, css="cards"), tag("p", ending)], "\n"
-    )
+    return join([tag("p", words), *ages, *_warnings(result, extras), cards(found), tag("p", ending)], "\n")
 
 
 def _card(title: str, before: float, after: float) -> Html:
-    change = tag("span", f"{before * 1e3:.1f} → ", css="from")
     better = "mean error"
     if 0.0 < after < before:
         better = f"mean error, nominal to fitted: {before / after:.1f} times smaller"
-    numbers = tag("div", change, tag("b", f"{after * 1e3:.1f}"), " mrad")
-    return tag("div", tag("small", title), numbers, tag("small", better), css="card")
+    return card(title, f"{after * 1e3:.1f}", "mrad", better, f"{before * 1e3:.1f}")
 
 
 def _warnings(result: FitResult, extras: Extras) -> list[Html]:
@@ -91,7 +86,7 @@ def _warnings(result: FitResult, extras: Extras) -> list[Html]:
         found.append("This fit was interrupted: its numbers are the best so far, not the answer.")
     if extras.delay_doubt:
         found.append(f"{extras.delay_doubt[:1].upper()}{extras.delay_doubt[1:]}.")
-    return [tag("div", text, css="warn") for text in found]
+    return [warning(text) for text in found]
 
 
 def parameter_table(result: FitResult, extras: Extras) -> Html:
@@ -207,7 +202,7 @@ def run_table(result: FitResult) -> Html:
     rows = [[name, kind, f"{before * 1e3:.1f}", f"{after * 1e3:.1f}"] for after, before, kind, name in lines]
     heads = ("run", "kind", "nominal, mrad", "fitted, mrad")
     inside = table(heads, rows, (2, 3), css="sort")
-    return tag("details", tag("summary", f"{_runs(len(rows))}, the worst first; a click on a head sorts"), inside)
+    return folded(f"{_runs(len(rows))}, the worst first; a click on a head sorts", inside)
 
 
 def origins(result: FitResult) -> Html:

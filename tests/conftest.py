@@ -3,6 +3,7 @@
 import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
+from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
@@ -49,6 +50,60 @@ def shared_dir() -> Path:
     if not path.is_dir():
         pytest.skip("no reference tables: expected a folder 'shared' beside the repository")
     return path
+
+
+class _Page(HTMLParser):
+    """Elements opened and closed in order, and everything a page would load or lead to."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.sources: list[str | None] = []
+        self.names: list[str | None] = []
+        self.texts: list[str] = []
+        self.scripts = 0
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.scripts += tag == "script"
+        self.sources += [value for name, value in attrs if name in ("src", "href", "srcset", "data", "action")]
+        self.names += [value for name, value in attrs if name == "id"]
+        if tag not in ("meta", "img", "br", "line", "rect", "circle", "path"):
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        pass
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+        if tag in ("td", "th", "p", "div", "h1", "h2", "h3", "li", "small", "figcaption"):
+            self.texts.append(" ")
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
+
+
+@pytest.fixture(scope="session")
+def page_text() -> Callable[[Path], str]:
+    """Gives the text of a page, after the page was found to be whole, small, and in need of nothing else."""
+
+    def checked(path: Path) -> str:
+        page = path.read_text(encoding="utf-8")
+        found = _Page()
+        found.feed(page)
+        assert found.open == []
+        assert found.scripts == 1
+        for source in found.sources:
+            assert source is not None
+            assert source.startswith(("data:image/png;base64,", "data:image/webp;base64,")) or source[1:] in found.names
+        assert len(found.names) == len(set(found.names))
+        assert "Content-Security-Policy" in page
+        assert "default-src 'none'" in page
+        for word in ("http:", "https:", "url(", "@import", "file:"):
+            assert word not in page
+        assert path.stat().st_size < 5_000_000
+        return " ".join("".join(found.texts).split())
+
+    return checked
 
 
 # What the virtual robot's fit finds: no delay is a multiple of the step of 2 ms, and one needs a longer history.

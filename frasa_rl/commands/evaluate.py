@@ -2,17 +2,21 @@
 
 import argparse
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from frasa_rl.bars import shown_share
 from frasa_rl.commands.arguments import CONTROLLER_HELP, add_conditions, conditions
+from frasa_rl.commands.leave_page import leave_page
 from frasa_rl.evaluate import SCHEMA, evaluate
+from frasa_rl.evaluation_page import write_evaluation_page
 from frasa_rl.protocol_picture import check_picture, draw
 from frasa_rl.protocol_tables import tables
 from frasa_sysid.calibration import (
     UsageError,
     add_json_flag,
+    add_report_arguments,
     calibration_id,
     load_model,
     plain,
@@ -21,6 +25,7 @@ from frasa_sysid.calibration import (
 )
 
 TABLE_FILE, JSON_FILE, PICTURE_FILE = "evaluation.txt", "evaluation.json", "evaluation.png"
+PAGE_FILE = "evaluation.html"
 
 
 def add_command(commands: Any) -> None:  # noqa: ANN401 - argparse keeps this type private
@@ -39,7 +44,9 @@ def add_protocol(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--push-trials", type=int, default=10, help="trials of each push (default 10)")
     parser.add_argument("--randomize", action="store_true", help="draw robot and floor of every trial, as in training")
     parser.add_argument("--picture", type=Path, help="chart to write beside the paper's numbers (png, svg, pdf)")
-    parser.add_argument("--out", type=Path, help=f"folder for {TABLE_FILE}, {JSON_FILE} and {PICTURE_FILE}")
+    files = f"{TABLE_FILE}, {JSON_FILE}, {PICTURE_FILE} and the page"
+    parser.add_argument("--out", type=Path, help=f"folder for {files}")
+    add_report_arguments(parser, f"{PAGE_FILE}, in --out where that is given")
     add_json_flag(parser)
 
 
@@ -85,4 +92,13 @@ def run_protocol(args: argparse.Namespace, word: str) -> dict[str, Any]:
         write_atomic(args.out / JSON_FILE, json.dumps(plain(result), indent=2, allow_nan=False) + "\n")
     for path in pictures:
         draw(result, path)
-    return result
+    page = (
+        None if args.no_report else leave_page(partial(write_evaluation_page, _page(args), result, controller, asked))
+    )
+    return {**result, "outputs": {"report": page}}
+
+
+def _page(args: argparse.Namespace) -> Path:
+    """Where the page goes."""
+    named: Path | None = args.report
+    return named or (args.out or Path()) / PAGE_FILE

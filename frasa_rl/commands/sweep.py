@@ -4,14 +4,17 @@ import argparse
 import json
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from frasa_rl.commands.leave_page import leave_page
 from frasa_rl.commands.rank import rank_words
 from frasa_rl.commands.training import add_training, check_resumed, plan_from_arguments
 from frasa_rl.places import usual_jobs
 from frasa_rl.simulation import all_threads
 from frasa_rl.sweep_files import LOG_FILE, RANK_FILE, SWEEP_FILE, Sweep, read_sweep
+from frasa_rl.sweep_page import write_sweep_page
 from frasa_rl.sweep_table import AGENTS, by_merit
 from frasa_sysid.calibration import (
     FrasaError,
@@ -47,6 +50,7 @@ def add_command(commands: Any) -> None:  # noqa: ANN401 - argparse keeps this ty
     parser.add_argument(
         "--rank", type=int, default=0, metavar="K", help="put the best K through the protocol, minutes each (default 0)"
     )
+    parser.add_argument("--no-report", action="store_true", help="leave out the HTML page in the folder")
     add_json_flag(parser)
     parser.set_defaults(run=_run)
 
@@ -68,8 +72,10 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     best = by_merit([[one[name] for name in AGENTS.columns] for one in agents])
     _tell(sweep, agents, best)
     if any(one["state"] == "waiting" for one in agents):
+        _leave_page(args, sweep, agents, None)
         raise InterruptedRunError(f"interrupted; saved in {sweep.out}, continue with --resume {sweep.out}")
     result["ranking"] = _ranked(sweep, best, args.rank)
+    result["outputs"] = {"report": _leave_page(args, sweep, agents, result["ranking"])}
     _check_failures(sweep, agents)
     return result
 
@@ -156,6 +162,12 @@ def _ranked(sweep: Sweep, best: list[int], count: int) -> dict[str, Any] | None:
     ranking = rank_words(words[:count])
     write_atomic(sweep.out / RANK_FILE, json.dumps(plain(ranking), indent=2, allow_nan=False) + "\n")
     return ranking
+
+
+def _leave_page(
+    args: argparse.Namespace, sweep: Sweep, agents: list[dict[str, Any]], ranking: dict[str, Any] | None
+) -> Path | None:
+    return None if args.no_report else leave_page(partial(write_sweep_page, sweep, agents, ranking))
 
 
 def _check_failures(sweep: Sweep, agents: list[dict[str, Any]]) -> None:

@@ -3,11 +3,13 @@
 import argparse
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from frasa_rl.commands.leave_page import leave_page
 from frasa_rl.commands.training import add_training, check_resumed, plan_from_arguments
-from frasa_sysid.calibration import UsageError, add_json_flag, say
+from frasa_sysid.calibration import InterruptedRunError, UsageError, add_json_flag, say
 
 if TYPE_CHECKING:
     from frasa_rl.plan import Plan
@@ -27,6 +29,7 @@ def add_command(commands: Subparsers) -> None:
         metavar="RUN",
         help="continue a run folder as if it had never stopped; ends count from its start",
     )
+    parser.add_argument("--no-report", action="store_true", help="leave out the HTML page in the run folder")
     add_json_flag(parser)
     parser.set_defaults(run=_run)
 
@@ -34,6 +37,7 @@ def add_command(commands: Subparsers) -> None:
 def _run(args: argparse.Namespace) -> dict[str, Any]:
     try:
         from frasa_rl.plan import plan_of
+        from frasa_rl.run_page import INTERRUPTED, write_run_page
         from frasa_rl.train import train  # torch is imported only where it is needed
     except ModuleNotFoundError as error:
         raise UsageError(f"training needs {error.name}: pip install 'frasa[train]'") from None
@@ -44,9 +48,15 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         plan = replace(plan, device=args.device or plan.device)
     else:
         plan = plan_from_arguments(args, args.out or Path("runs") / f"standup-{datetime.now():%Y%m%d-%H%M%S}")
-    result = train(plan, resume=bool(args.resume))
+    try:
+        result = train(plan, resume=bool(args.resume))
+    except InterruptedRunError:
+        if not args.no_report:
+            leave_page(partial(write_run_page, plan.out, INTERRUPTED))
+        raise
     _tell(plan, result)
-    return result
+    page = None if args.no_report else leave_page(partial(write_run_page, plan.out, result["stopped"]))
+    return {**result, "outputs": {"report": page}}
 
 
 def _tell(plan: "Plan", result: dict[str, Any]) -> None:

@@ -2,7 +2,8 @@
 
     FitResult -> Calibration -> calibrated.xml + randomization.yaml -> StandUp
 
-Imports numpy, mujoco and yaml only, so that a policy can be trained without the fitter.
+Imports numpy, mujoco and yaml only, so that a policy can be trained without the fitter. `page` and `figures`, the look
+of all pages that both packages leave, stand here too, for nothing else is known to both.
 """
 
 from frasa_sysid.calibration.apply import (
@@ -18,7 +19,14 @@ from frasa_sysid.calibration.apply import (
     trunk_of,
 )
 from frasa_sysid.calibration.cluster import dask_client
-from frasa_sysid.calibration.command_line import add_json_flag, plain, run_command, say
+from frasa_sysid.calibration.command_line import (
+    add_json_flag,
+    add_report_arguments,
+    plain,
+    run_command,
+    say,
+    tell_report,
+)
 from frasa_sysid.calibration.errors import (
     CalibrationError,
     FrasaError,
@@ -67,6 +75,7 @@ __all__ = [
     "UsageError",
     "actuators_of",
     "add_json_flag",
+    "add_report_arguments",
     "apply",
     "assign",
     "calibration_id",
@@ -89,6 +98,7 @@ __all__ = [
     "servo_classes",
     "sha256_of",
     "sha256_of_file",
+    "tell_report",
     "trunk_of",
     "write_atomic",
 ]

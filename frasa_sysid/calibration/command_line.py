@@ -58,6 +58,23 @@ def add_json_flag(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object on standard output")
 
 
+def add_report_arguments(parser: argparse.ArgumentParser, usual: Path | str) -> None:
+    """Give a subcommand `--report` and `--no-report`.
+
+    Args:
+        parser: of the subcommand.
+        usual: where the page goes when nobody says.
+    """
+    parser.add_argument("--report", type=Path, metavar="HTML", help=f"name of the HTML page [{usual}]")
+    parser.add_argument("--no-report", action="store_true", help="leave out the HTML page")
+
+
+def tell_report(path: Path | None) -> None:
+    """Say where the page is, if there is one."""
+    if path is not None:
+        say(f"report: {path}")
+
+
 def plain(value: Any) -> Any:  # noqa: ANN401 - whatever a command returns
     """Plain data for JSON: paths as text, arrays as lists, numbers that are not finite as null."""
     if isinstance(value, dict):

@@ -10,18 +10,28 @@ import numpy as np
 from rich.table import Table
 
 from frasa_sysid import bam_parameters, stored_fit
-from frasa_sysid.calibration import SERVO_FIELDS, add_json_flag, calibration_id, load_model, number, read
+from frasa_sysid.calibration import (
+    SERVO_FIELDS,
+    add_json_flag,
+    add_report_arguments,
+    calibration_id,
+    load_model,
+    number,
+    read,
+    tell_report,
+)
 from frasa_sysid.calibration.friction import FIELDS as FRICTION_FIELDS
 from frasa_sysid.calibration.friction import Friction
 from frasa_sysid.calibration.servo_law import law
 from frasa_sysid.commands.bench import Bench, add_bench_arguments, bench_model, load_bench, people_console, read_logs
-from frasa_sysid.commands.compare_robot import SCHEMA, compare_robot_logs, write_overlay
+from frasa_sysid.commands.compare_robot import REPORT, SCHEMA, compare_robot_logs, write_overlay
 from frasa_sysid.commands.fit_robot import add_base_argument, add_share_argument
 from frasa_sysid.cost import Misfit, misfit
 from frasa_sysid.errors import ModelError, UsageError
 from frasa_sysid.overlay import bench_overlay
 from frasa_sysid.recording import FloatArray
-from frasa_sysid.report import Trace, write_trace_report
+from frasa_sysid.report_compare import ComparisonPage, write_comparison
+from frasa_sysid.report_figures import Trace
 from frasa_sysid.rig import BenchRun
 from frasa_sysid.robot_rig import is_robot
 from frasa_sysid.servo_values import FIELDS, NO_LIMIT, ServoValues
@@ -31,10 +41,11 @@ _RIG_OFFSET = "offset["  # `bench.offset[1.2kg 0.15m]`: zero of one rig beside t
 
 @dataclass(frozen=True)
 class _Candidate:
-    """Numbers to simulate with, and the zero of single rigs [rad]."""
+    """Numbers to simulate with, the file they are from, and the zero of single rigs [rad]."""
 
     name: str
     values: ServoValues
+    file: str
     zeros: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -57,7 +68,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     group = parser.add_argument_group("logs of the whole robot")
     add_base_argument(group)
     add_share_argument(group, "compare the end of each log only, which a fit with the same share never saw")
-    parser.add_argument("--report", type=Path, metavar="HTML", help="write the traces to a page")
+    add_report_arguments(parser, REPORT)
     parser.add_argument(
         "--mcap",
         type=Path,
@@ -91,13 +102,14 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     errors = {one.name: misfit(runs, found) for one, found in zip(candidates, readings, strict=True)}
     _show(errors)
     report = None
-    if args.report is not None:
+    if not args.no_report:
         names = [one.name for one in candidates]
-        traces = [
-            Trace(run, {name: found[i] for name, found in zip(names, readings, strict=True)})
-            for i, run in enumerate(runs)
-        ]
-        report = write_trace_report(args.report, f"{bench.servo.name}: simulated over measured", traces)
+        traces = [Trace(run, dict(zip(names, found, strict=True))) for run, *found in zip(runs, *readings, strict=True)]
+        values = {one.name: one.values for one in candidates}
+        files = {one.name: one.file for one in candidates}
+        shown = ComparisonPage(bench.servo.name, errors, values, traces, bench.inputs, bench.origin, files)
+        report = write_comparison(args.report or REPORT, shown)
+        tell_report(report)
     if args.mcap is not None:
         by_run = {
             one.name: {run.name: reading for run, reading in zip(runs, found, strict=True)}
@@ -115,7 +127,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _candidates(args: argparse.Namespace, bench: Bench) -> list[_Candidate]:
-    found = [_Candidate("nominal", ServoValues(**bench.nominal))]
+    found = [_Candidate("nominal", ServoValues(**bench.nominal), args.model.name)]
     for path in args.with_model:
         found.append(_of_model(_name(path, found), path, bench))
     for path in args.fit:
@@ -128,6 +140,11 @@ def _candidates(args: argparse.Namespace, bench: Bench) -> list[_Candidate]:
 def _name(path: Path, taken: Sequence[_Candidate]) -> str:
     """The file's name, with its folder where another candidate has the same."""
     return str(path) if path.name in {one.name for one in taken} else path.name
+
+
+def _file(path: Path) -> str:
+    """A file as it was given; of an absolute path the name, for a page is no map of a machine."""
+    return path.name if path.is_absolute() else str(path)
 
 
 def _of_model(name: str, path: Path, bench: Bench) -> _Candidate:
@@ -148,7 +165,7 @@ def _of_model(name: str, path: Path, bench: Bench) -> _Candidate:
     if friction is not None:
         fields |= _law_fields(friction)
     stated = number(model, "servo_supply_voltage"), number(model, "servo_firmware_gain")
-    return _Candidate(name, _restated(ServoValues(**fields), *stated, bench, path), zeros)
+    return _Candidate(name, _restated(ServoValues(**fields), *stated, bench, path), _file(path), zeros)
 
 
 def _of_fit(name: str, path: Path, bench: Bench) -> _Candidate:
@@ -170,7 +187,7 @@ def _of_fit(name: str, path: Path, bench: Bench) -> _Candidate:
         if one.startswith(_RIG_OFFSET)
     }
     stated = stored.stated["supply_voltage"], stored.stated["firmware_gain"]
-    return _Candidate(name, _restated(ServoValues(**fields), *stated, bench, path), zeros)
+    return _Candidate(name, _restated(ServoValues(**fields), *stated, bench, path), _file(path), zeros)
 
 
 def _of_bam(name: str, path: Path, bench: Bench) -> _Candidate:
@@ -189,7 +206,7 @@ def _of_bam(name: str, path: Path, bench: Bench) -> _Candidate:
         goal_speed=NO_LIMIT if found.goal_speed is None else found.goal_speed,
         **_law_fields(one.friction),
     )
-    return _Candidate(name, values)
+    return _Candidate(name, values, _file(path))
 
 
 def _law_fields(friction: Friction) -> dict[str, float]:

@@ -9,8 +9,8 @@ from typing import Any
 from rich.table import Table
 
 from frasa_sysid import stored_fit
-from frasa_sysid.calibration import load_model, say, servo_classes
-from frasa_sysid.commands.bench import people_console
+from frasa_sysid.calibration import load_model, say, servo_classes, tell_report
+from frasa_sysid.commands.bench import inputs_of, people_console
 from frasa_sysid.errors import LogError, UsageError
 from frasa_sysid.fit_json import ROBOT, read_json
 from frasa_sysid.overlay import LAYOUT, robot_overlay
@@ -22,6 +22,7 @@ from frasa_sysid.robot_errors import ChannelErrors, Compared, blown_up, errors_b
 from frasa_sysid.robot_rig import is_robot
 from frasa_sysid.writer import write_mcap
 
+REPORT = Path("compare.html")
 SCHEMA = "frasa.compare/1"
 NOMINAL = "nominal"
 
@@ -43,7 +44,10 @@ def compare_robot_logs(args: argparse.Namespace, recordings: Sequence[Recording]
     _show(errors, args.hold_out_share)
     _warn(found)
     title = f"Whole robot: simulated over measured, {_part(args.hold_out_share)}"
-    report = None if args.report is None else write_robot_comparison(args.report, title, found)
+    report = None
+    if not args.no_report:
+        report = write_robot_comparison(args.report or REPORT, title, found, inputs_of(recordings))
+        tell_report(report)
     if args.mcap is not None:
         write_overlay(args.mcap, robot_overlay(recordings, found))
     plain = {name: _plain(errors[name], compared) for name, compared in found.items()}

@@ -1,6 +1,7 @@
 """Every command runs, prints one JSON object when asked, and ends with its exit status."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,16 +19,18 @@ pytest.importorskip("sb3_contrib")
 def run(robot_model_dir, tmp_path_factory):
     folder = tmp_path_factory.mktemp("cli") / "run"
     words = ["train", "--model", str(robot_model_dir / "nominal.xml"), "--steps", "200", "--evaluate-falls", "1"]
-    assert main([*words, "--out", str(folder)]) == 0
+    assert main([*words, "--no-report", "--out", str(folder)]) == 0
     return folder
 
 
-def test_evaluate_prints_the_agreed_object(run, tmp_path, capsys):
+def test_evaluate_prints_the_agreed_object(run, tmp_path, capsys, page_text):
     """evaluate --json carries schema, both tables, controller, model and calibration id; --out keeps all of it."""
     words = ["evaluate", str(run), "--trials", "1", "--push-trials", "1", "--json", "--out", str(tmp_path / "e")]
     assert main(words) == 0
     out, err = capsys.readouterr()
     said = json.loads(out)
+    page = said.pop("outputs")["report"]
+    assert page == str(tmp_path / "e" / "evaluation.html")
     assert {"schema", "standup", "push", "controller", "model", "calibration_id", "rate_hz", "seed"} <= set(said)
     assert set(said["standup"]) == {"prone", "supine"}
     assert {"trials", "success_rate", "time_mean_s", "time_std_s"} <= set(said["standup"]["prone"])
@@ -37,7 +40,20 @@ def test_evaluate_prints_the_agreed_object(run, tmp_path, capsys):
     wanted = {"trials", "success_rate", "instability_mean_s", "instability_std_s", "falls", "not_standing"}
     assert wanted <= set(said["push"][0])
     assert json.loads((tmp_path / "e" / "evaluation.json").read_text()) == said
-    assert (tmp_path / "e" / "evaluation.txt").read_text().strip() == err.strip()
+    table, _, told = err.strip().rpartition("\n")
+    assert (tmp_path / "e" / "evaluation.txt").read_text().strip() == table
+    assert told == f"report: {page}"
+    text = page_text(Path(page))
+    for words in (
+        "Beside the paper",
+        "2.135 ± 0.042",
+        "What it does",
+        "What it asks of the robot",
+        "none: a nominal model",
+    ):
+        assert words in text, words
+    assert "From prone: does not stand up" in text or "No pictures of the robot" in text
+    assert said["schema"] in text
     assert (tmp_path / "e" / "evaluation.png").stat().st_size > 5000
 
 
@@ -45,7 +61,7 @@ def test_evaluate_prints_the_agreed_object(run, tmp_path, capsys):
 def test_nothing_is_a_controller(nominal, protocol, empty, capsys):
     """The word 'nothing' stands for held commands; one protocol can be left out; 100 Hz is a rate."""
     words = ["evaluate", "nothing", "--model", str(nominal), "--trials", "1", "--push-trials", "1"]
-    assert main([*words, "--protocol", protocol, "--rate", "100", "--json"]) == 0
+    assert main([*words, "--protocol", protocol, "--rate", "100", "--json", "--no-report"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert (said["controller"], said["rate_hz"]) == ("nothing", 100.0)
     assert not said[empty]
@@ -75,10 +91,12 @@ def test_rank_orders_its_candidates(run, nominal, monkeypatch, capsys):
 def test_train_prints_its_result(nominal, tmp_path, capsys):
     """train --json says where the policy is and why it stopped; people read standard error."""
     words = ["train", "--model", str(nominal), "--steps", "40", "--out", str(tmp_path / "r"), "--json", "--seed", "5"]
-    assert main([*words, "--algorithm", "sac", "--evaluate-falls", "1"]) == 0
+    assert main([*words, "--algorithm", "sac", "--evaluate-falls", "1", "--no-report"]) == 0
     out, err = capsys.readouterr()
     said = json.loads(out)
     assert said["schema"] == "frasa.train/1"
+    assert said["outputs"] == {"report": None}
+    assert not (tmp_path / "r" / "report.html").exists()
     assert said["stopped"] == "steps"
     assert set(said["held_out"]) == {"steps", "success_prone", "success_supine", "time_mean_s"}
     assert "held-out 0 % prone 0 % supine" in err

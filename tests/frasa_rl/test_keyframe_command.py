@@ -19,7 +19,7 @@ def shipped(robot_model_dir):
 
 @pytest.fixture
 def words(nominal, shipped):
-    return ["keyframe", "--model", str(nominal), "--keyframes", str(shipped)]
+    return ["keyframe", "--no-report", "--model", str(nominal), "--keyframes", str(shipped)]
 
 
 def test_trials_are_printed_and_given_as_json(words, capsys):
@@ -81,7 +81,7 @@ def test_angles_that_the_model_cannot_take_are_refused(words, shipped, tmp_path,
     data["supine"]["keys"][0]["angles_deg"][3] = -20.0
     path = tmp_path / "keyframes.yaml"
     path.write_text(yaml.safe_dump(data))
-    model = ["--model", words[2]]
+    model = ["--model", words[3]]
     for command in (
         [*words, "--keyframes", str(path)],
         [*words, "--keyframes", str(path), "--tune"],

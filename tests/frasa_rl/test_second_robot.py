@@ -213,7 +213,7 @@ def test_the_readmes_commands_run(robot_model_dir, tmp_path, monkeypatch, capsys
         assert code == 0, command
 
 
-def test_the_task_is_given_once(model_path, folder, tmp_path, capsys, few_starts):
+def test_the_task_is_given_once(model_path, folder, tmp_path, capsys, few_starts, page_text):
     """To train: resuming and evaluating have it from the run; held commands need it."""
     pytest.importorskip("sb3_contrib")
     from frasa_rl.cli import main
@@ -222,13 +222,15 @@ def test_the_task_is_given_once(model_path, folder, tmp_path, capsys, few_starts
     words = ["--model", str(model_path), "--task", str(folder / "standup.yaml")]
     run = str(tmp_path / "run")
     assert main(["train", *words, "--steps", "600", "--out", run, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["steps"] >= 600
+    said = json.loads(capsys.readouterr().out)
+    assert said["steps"] >= 600
+    assert said["outputs"]["report"] is None or f"{said['steps']:,} steps" in page_text(Path(said["outputs"]["report"]))
     policy = Policy.load(run)
     assert (policy.layers[0][0].shape[1], policy.layers[-1][0].shape[0]) == (26, 6)
-    assert main(["train", "--resume", run, "--steps", "640"]) == 0
-    assert main(["evaluate", run, "--trials", "1", "--json"]) == 0
+    assert main(["train", "--resume", run, "--steps", "640", "--no-report"]) == 0
+    assert main(["evaluate", run, "--trials", "1", "--json", "--no-report"]) == 0
     assert json.loads(capsys.readouterr().out)["model"] == str(model_path)
-    assert main(["evaluate", "nothing", *words, "--trials", "1"]) == 0
+    assert main(["evaluate", "nothing", *words, "--trials", "1", "--no-report"]) == 0
     assert main(["train", "--resume", run, "--task", str(folder / "standup.yaml")]) == 2
     assert "--task from the run itself" in capsys.readouterr().err
 
@@ -238,7 +240,7 @@ def test_the_protocol_runs_on_it(model_path, folder, task, capsys):
     pytest.importorskip("sb3_contrib")
     from frasa_rl.cli import main
 
-    words = ["evaluate", "nothing", "--model", str(model_path), "--task", str(folder / "standup.yaml")]
+    words = ["evaluate", "nothing", "--no-report", "--model", str(model_path), "--task", str(folder / "standup.yaml")]
     some = ["--trials", "1", "--push-trials", "1"]
     for more in ([], ["--randomize", "--rate", "50"]):
         assert main([*words, *some, *more, "--json"]) == 0
@@ -263,7 +265,7 @@ def test_a_pendulum_that_passes_it_by_is_named(model_path, folder, tmp_path, cap
 
     path = tmp_path / "standup.yaml"
     path.write_text((folder / "standup.yaml").read_text().replace("height: 1.02", "height: 1.4"))
-    words = ["evaluate", "nothing", "--model", str(model_path), "--task", str(path)]
+    words = ["evaluate", "nothing", "--no-report", "--model", str(model_path), "--task", str(path)]
     assert main([*words, "--protocol", "push", "--push-trials", "1"]) == 3
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 1
@@ -280,7 +282,7 @@ def test_keyframes_are_tuned_for_it(model_path, folder, task, tmp_path, capsys):
     routine = Routine((Key(0.4, (0.0, -60.0, 90.0, -40.0, 0.0, -20.0)),), 0.5)
     names = tuple(one.name for one in task.joints)
     save_keyframes(Keyframes(names, routine, routine, Standing(standing, 0.5, 10.0), Detector()), start)
-    words = ["keyframe", "--model", str(model_path), "--task", str(folder / "standup.yaml")]
+    words = ["keyframe", "--no-report", "--model", str(model_path), "--task", str(folder / "standup.yaml")]
     tuning = ["--tune", "--minutes", "0.02", "--best", str(best), "--json"]
     assert main([*words, "--keyframes", str(start), *tuning]) == 0
     said = capsys.readouterr()

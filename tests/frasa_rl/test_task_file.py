@@ -173,7 +173,7 @@ def test_numbers_are_checked_where_a_task_is_made():
 def test_the_commands_end_with_a_line_and_a_status(write, nominal, capsys, tmp_path, text, code, message):
     """Also where only the model shows that a task cannot be."""
     pytest.importorskip("sb3_contrib")
-    words = ["train", "--model", str(nominal), "--steps", "10", "--out", str(tmp_path / "run")]
+    words = ["train", "--model", str(nominal), "--steps", "10", "--out", str(tmp_path / "run"), "--no-report"]
     assert main([*words, "--task", str(write(text))]) == code
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1
@@ -217,7 +217,7 @@ def test_training_as_the_published_environment_does(nominal, tmp_path, monkeypat
     from frasa_rl.plan import plan_of
 
     monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["quick"], pool=2, envs=2, rollout_steps=8, evaluate_falls=1))
-    words = ["train", "--model", str(nominal), "--steps", "16", "--out", str(tmp_path / "run")]
+    words = ["train", "--model", str(nominal), "--steps", "16", "--out", str(tmp_path / "run"), "--no-report"]
     assert main([*words, "--compat", "frasa2024"]) == 0
     task = plan_of(tmp_path / "run").task
     assert task == compat_task(Task())

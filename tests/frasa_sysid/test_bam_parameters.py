@@ -234,7 +234,18 @@ def test_compare_simulates_it(log, robot_model_dir, tmp_path, capsys):
         expected = misfit(runs, kernel.split(kernel.readings(values.array()[None])[0]))
     path = written(tmp_path / "m4.json", {**MX106_M4, "q_offset": -0.013})
     other = written(tmp_path / "other.json", {**MX106_M4, "kt": 1.5})
-    words = ("compare", log, "--model", robot_model_dir / "nominal.xml", "--bam", other, "--bam", path, "--json")
+    words = (
+        "compare",
+        log,
+        "--model",
+        robot_model_dir / "nominal.xml",
+        "--bam",
+        other,
+        "--bam",
+        path,
+        "--no-report",
+        "--json",
+    )
     assert frasa(*words) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["candidates"]["m4.json"]["by_log"] == pytest.approx(expected.by_run, rel=1e-9)
@@ -248,7 +259,7 @@ def test_compare_simulates_it(log, robot_model_dir, tmp_path, capsys):
 )
 def test_compare_refuses_in_one_line(log, robot_model_dir, tmp_path, capsys, change, status, words):
     path = written(tmp_path / "a.json", {**MX106_M4, **change})
-    assert frasa("compare", log, "--model", robot_model_dir / "nominal.xml", "--bam", path) == status
+    assert frasa("compare", log, "--model", robot_model_dir / "nominal.xml", "--bam", path, "--no-report") == status
     lines = capsys.readouterr().err.strip().splitlines()
     assert words in lines[-1]
     assert not any("Traceback" in line for line in lines)

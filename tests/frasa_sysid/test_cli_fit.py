@@ -138,7 +138,7 @@ def test_fit_and_publish(place, capsys):
     assert "http:" not in page
     assert "https:" not in page
 
-    assert frasa("compare", place / "few.mcap", "--model", paths["model"], "--json") == 0
+    assert frasa("compare", place / "few.mcap", "--model", paths["model"], "--no-report", "--json") == 0
     compared = json.loads(capsys.readouterr().out)
     assert compared["misfit"].keys() >= {"mae_rad", "rmse_rad"}
     assert compared["candidates"]["nominal"]["mae_rad"] > compared["misfit"]["mae_rad"]
@@ -325,7 +325,7 @@ def test_compare_keeps_namesakes_apart(place, capsys):
         shutil.copytree(place / "robot_model", place / name)
     words = [word for name in ("a", "b") for word in ("--with-model", place / name / "nominal.xml")]
     model = place / "robot_model" / "nominal.xml"
-    assert frasa("compare", place / "few.mcap", "--model", model, *words, "--json") == 0
+    assert frasa("compare", place / "few.mcap", "--model", model, *words, "--no-report", "--json") == 0
     found = json.loads(capsys.readouterr().out)["candidates"]
     assert len(found) == 3
     assert len({one["mae_rad"] for one in found.values()}) == 1

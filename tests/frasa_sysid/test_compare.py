@@ -1,4 +1,5 @@
 import argparse
+import hashlib
 import json
 import shutil
 from dataclasses import asdict, replace
@@ -9,6 +10,7 @@ import pytest
 from frasa_sysid import stored_fit
 from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.calibration import run_command
+from frasa_sysid.cli import build_parser
 from frasa_sysid.commands import compare
 from frasa_sysid.cost import misfit
 from frasa_sysid.fit import fit
@@ -43,9 +45,10 @@ def place(robot_model_dir, tmp_path_factory):
 
 def compared(capsys, *words):
     """What `compare` prints for machines."""
+    quiet = () if "--report" in words else ("--no-report",)
     parser = argparse.ArgumentParser(prog="frasa-sysid")
     compare.add_parser(parser.add_subparsers(required=True))
-    status = run_command(parser, ["compare", *(str(word) for word in words), "--json"])
+    status = run_command(parser, ["compare", *(str(word) for word in words), *quiet, "--json"])
     out, err = capsys.readouterr()
     assert status == 0, err
     return json.loads(out)
@@ -106,15 +109,37 @@ def test_a_model_with_a_friction_law(place, capsys):
     assert found["misfit"]["mae_rad"] != pytest.approx(found["candidates"]["nominal"]["mae_rad"])
 
 
-def test_the_page_of_a_comparison(place, capsys, tmp_path):
-    """The traces go to a page when asked for."""
+def test_the_page_of_a_comparison(place, capsys, tmp_path, page_text):
+    """Errors, traces, residuals and numbers of every candidate, and what they rest on."""
     pytest.importorskip("matplotlib")
-    folder = place[0]
+    folder, result, _, _ = place
     page = tmp_path / "page.html"
     words = ("--model", folder / "nominal.xml", "--fit", folder / "fits" / "mx106.json", "--report", page)
     found = compared(capsys, folder / "log.mcap", *words)
     assert found["outputs"]["report"] == str(page)
-    assert "mx106.json, mrad" in page.read_text()
+    text = page_text(page)
+    for words in ("Simulated over measured", "Residuals", "Error of every run", "Numbers of the candidates"):
+        assert words in text
+    for name, one in found["candidates"].items():
+        assert f"{one['mae_rad'] * 1e3:.2f} mrad" in text
+        assert f"{name}, mrad" in text
+        assert all(f"{error * 1e3:.1f}" in text for error in one["by_log"].values())
+    assert f"{result.problem.servo_values(result.values).kp:.4g}" in text
+    assert hashlib.sha256((folder / "log.mcap").read_bytes()).hexdigest() in text
+    assert str(folder) not in text
+
+
+def test_a_page_is_left_unless_nobody_wants_it(place, capsys, tmp_path, monkeypatch):
+    """Without a name it is compare.html where one works; with --no-report there is none."""
+    pytest.importorskip("matplotlib")
+    folder = place[0]
+    words = ["compare", str(folder / "log.mcap"), "--model", str(folder / "nominal.xml")]
+    monkeypatch.chdir(tmp_path)
+    assert run_command(build_parser(), [*words, "--no-report"]) == 0
+    assert not list(tmp_path.iterdir())
+    assert run_command(build_parser(), words) == 0
+    assert "report: compare.html" in capsys.readouterr().err
+    assert [one.name for one in tmp_path.iterdir()] == ["compare.html"]
 
 
 def test_measured_and_simulated_side_by_side(place, capsys, tmp_path):

@@ -1,22 +1,24 @@
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
 from frasa_sysid.bench_session import BenchSession
+from frasa_sysid.calibration.page import Html, esc, table
 from frasa_sysid.choice import Choice, Fold, Trial
+from frasa_sysid.cost import misfit
 from frasa_sysid.fit import fit
 from frasa_sysid.fit_record import Extras
 from frasa_sysid.problem import state_problem, stated_servo
 from frasa_sysid.readers import read_log
-from frasa_sysid.report import Trace, shown, write_fit_report, write_trace_report
+from frasa_sysid.report import Trace, shown, write_fit_report
+from frasa_sysid.report_compare import ComparisonPage, write_comparison
 from frasa_sysid.report_figures import unpowered
-from frasa_sysid.report_html import Html, esc, table
 from frasa_sysid.report_tables import record_next
 from frasa_sysid.resampling import Profile
 from frasa_sysid.rig import runs_of
+from frasa_sysid.servo_values import ServoValues
 from frasa_sysid.stand_in import stand_in
 
 pytest.importorskip("matplotlib")
@@ -55,50 +57,10 @@ def extras(fitted, bench):
     return Extras("simulated", choice, stand_in(fitted, bench[2]), bootstrap, 7)
 
 
-class Checker(HTMLParser):
-    """Elements opened and closed in order, and everything a page would load."""
-
-    def __init__(self):
-        super().__init__()
-        self.open, self.sources, self.scripts, self.texts = [], [], 0, []
-
-    def handle_starttag(self, tag, attrs):
-        self.scripts += tag == "script"
-        self.sources += [value for name, value in attrs if name in ("src", "href", "srcset", "data", "action")]
-        if tag not in ("meta", "img", "br", "line", "rect", "circle", "path"):
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attrs):
-        pass
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.texts.append(data)
-
-
-def checked(path):
-    """A page's text, after the page was found to be whole and on its own."""
-    page = path.read_text()
-    checker = Checker()
-    checker.feed(page)
-    assert checker.open == []
-    assert checker.scripts == 1
-    assert checker.sources
-    assert all(source.startswith("data:image/png;base64,") for source in checker.sources)
-    assert "http:" not in page
-    assert "https:" not in page
-    assert "url(" not in page
-    assert "@import" not in page
-    assert len(page) < 5_000_000
-    return " ".join("".join(checker.texts).split())
-
-
-def test_the_page_of_a_fit(fitted, extras, bench, tmp_path):
+def test_the_page_of_a_fit(fitted, extras, bench, tmp_path, page_text):
     """Everything a person asks of a fit stands on one page that needs nothing else."""
     path = write_fit_report(tmp_path / "fit.html", fitted, extras, bench[2], ("log the servo's input voltage",))
-    text = checked(path)
+    text = page_text(path)
     for one in fitted.evidence.estimates:
         assert one.name in text
         assert f"{one.value:.4g}" in text
@@ -137,7 +99,7 @@ def test_the_same_fit_gives_the_same_page(fitted, extras, bench, tmp_path):
     assert str(tmp_path).encode() not in pages[0]
 
 
-def test_names_from_files_stay_text(fitted, extras, bench, tmp_path):
+def test_names_from_files_stay_text(fitted, extras, bench, tmp_path, page_text):
     """A log, rig or trajectory may be called anything: nothing of it becomes HTML or a formula."""
     runs = [replace(run, name=f"{EVIL}{run.name}", rig=EVIL, group=EVIL, trajectory=EVIL) for run in bench[3]]
     by_run = [dict(zip([run.name for run in part], [0.01] * len(part), strict=True)) for part in (runs[:8], runs[8:])]
@@ -161,16 +123,16 @@ def test_names_from_files_stay_text(fitted, extras, bench, tmp_path):
         versions={EVIL: EVIL},
     )
     path = write_fit_report(tmp_path / "fit.html", evil, replace(extras, origin=EVIL), bench[2], (EVIL,))
-    assert EVIL in checked(path)
+    assert EVIL in page_text(path)
     assert "<script>alert" not in path.read_text()
 
 
-def test_a_page_without_extras(fitted, bench, tmp_path):
+def test_a_page_without_extras(fitted, bench, tmp_path, page_text):
     """A plain M1 fit without held-out runs has no tables of choices, and no NaN."""
     servo, nominal, session, runs = bench
     problem = state_problem(servo, nominal, runs[:3], (), session.delay_range)
     plain = fit(problem, session, {}, evaluations=20, restarts=1)
-    text = checked(write_fit_report(tmp_path / "fit.html", plain, Extras("real"), session))
+    text = page_text(write_fit_report(tmp_path / "fit.html", plain, Extras("real"), session))
     assert "held out" not in text.replace("Held-out", "")
     assert "stand-in" not in text
     assert not re.search(r"\bnan\b", text)
@@ -203,13 +165,21 @@ def test_advice_most_missed_first(fitted):
     assert "Nothing is missing" in record_next(nothing, ())
 
 
-def test_traces_of_candidates(bench, tmp_path):
-    """A page of traces draws at most eight runs, lists all, and bears a simulation that diverged."""
-    runs = bench[3]
-    traces = [Trace(run, {EVIL: run.y + 0.01, "b": np.full(run.t.size, np.nan)}) for run in runs]
-    text = checked(write_trace_report(tmp_path / "traces.html", f"a {EVIL}", traces))
+def test_traces_of_candidates(bench, tmp_path, page_text):
+    """A page of traces draws at most eight runs, lists all, keeps names text, and bears a simulation that diverged."""
+    _, nominal, _, runs = bench
+    names = (EVIL, "b")
+    traces = [Trace(run, dict(zip(names, (run.y + 0.01, np.full(run.t.size, np.nan)), strict=True))) for run in runs]
+    errors = {name: misfit(runs, [trace.readings[name] for trace in traces]) for name in names}
+    values = {name: replace(ServoValues(**nominal), kp=kp) for name, kp in zip(names, (21.25, 17.5), strict=True)}
+    one = ComparisonPage(f"a {EVIL}", errors, values, traces, {EVIL: EVIL}, "real", {EVIL: EVIL, "b": "b.xml"})
+    path = write_comparison(tmp_path / "traces.html", one)
+    text = page_text(path)
     assert all(run.name in text for run in runs)
-    assert EVIL in text
+    assert f"a {EVIL}" in text
+    assert f"{EVIL} 10.00 mrad" in text
+    assert "kp 21.25 17.5" in text
+    assert "<script>alert" not in path.read_text()
 
 
 def test_unpowered_time(bench):
