@@ -95,8 +95,9 @@ class Alone:
         high = min(max((self.data.qpos[2] / standing - 0.25) / 0.75, 0.0), 1.0)
         flat = np.mean(1 + np.sum(self.upward * upward, axis=1)) / 2
         upright = (1 + np.cos(error[5])) / 4 + np.exp(-4 * error[5] ** 2) / 2
+        square, still = np.sum(error**2), 1 - np.sqrt(np.mean((rate / (2 * np.pi)) ** 2))
         return [
-            np.exp(-20 * np.sum(error**2)),
+            np.exp(-20 * square),
             0.1 * np.exp(-np.linalg.norm(rate)),
             0.05 * np.exp(-np.linalg.norm(rate - before)),
             0.1 * np.exp(-self.contact),
@@ -104,7 +105,7 @@ class Alone:
             * np.exp(-np.sum((self.above_feet / mass - [0, 0, 1]) ** 2) / 0.72)
             * (0.3 + 0.7 * flat)
             * (0.3 + 0.35 * (1 + np.cos(error[5]))),
-            high * upright * (np.exp(-2 * np.sum(error**2)) + np.exp(-8 * np.sum(error**2))) / 2,
+            high * upright * (np.exp(-2 * square) + np.exp(-8 * square) + still * np.exp(-64 * square)) / 3,
         ]
 
 

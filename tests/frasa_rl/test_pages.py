@@ -71,7 +71,7 @@ def blind(monkeypatch):
 @pytest.fixture(scope="module")
 def results():
     """An evaluation with successes, failures and an unknown number of the paper."""
-    strain = np.array([7.5, 4.25, 310.0, 12.5])
+    strain = np.array([7.5, 4.25, 310.0, 12.5, 0.05])
     standup = [
         StandUpTrial("prone", 2.0, 2.25, False, strain),
         StandUpTrial("prone", 3.0, 3.25, False, strain),
