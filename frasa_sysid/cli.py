@@ -5,7 +5,7 @@ import sys
 
 import frasa_sysid
 from frasa_sysid.calibration import run_command
-from frasa_sysid.commands import compare, excite, export_bam, fit, importing, inspect, lag, publish, simulate
+from frasa_sysid.commands import compare, excite, export_bam, fit, importing, inspect, lag, publish, servos, simulate
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -17,7 +17,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"frasa {frasa_sysid.__version__}")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in (importing, inspect, lag, excite, simulate, fit, publish, compare, export_bam):
+    for command in (importing, servos, inspect, lag, excite, simulate, fit, publish, compare, export_bam):
         command.add_parser(subparsers)
     return parser
 

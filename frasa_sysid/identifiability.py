@@ -24,6 +24,7 @@ from frasa_sysid.inspection import Motion, motions
 from frasa_sysid.readers.sampling import plural
 from frasa_sysid.readout import RECORD, SEPARATED, separate
 from frasa_sysid.recording import Recording
+from frasa_sysid.servo import Servo
 
 FINE = 0.0005  # rad; noise of a position that shows no steps
 
@@ -33,9 +34,14 @@ def findings(motions: Sequence[Motion]) -> list[Finding]:
     return [rule(motions) for rule in RULES] if motions else []
 
 
-def bench_findings(recordings: Sequence[Recording]) -> list[Finding]:
-    """All verdicts for the recordings of one servo, those about its clocks last; none without a bench run."""
-    found = findings(motions(recordings))
+def bench_findings(recordings: Sequence[Recording], servo: Servo | None = None) -> list[Finding]:
+    """All verdicts for the recordings of one servo, those about its clocks last; none without a bench run.
+
+    Args:
+        recordings: of one servo type.
+        servo: that type, where it is none that comes with frasa.
+    """
+    found = findings(motions(recordings, servo))
     return [*found, _readout(recordings)] if found else []
 
 

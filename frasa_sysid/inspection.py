@@ -8,7 +8,7 @@ import numpy as np
 from frasa_sysid.errors import LogError
 from frasa_sysid.motion_detail import Detail, detail_of
 from frasa_sysid.recording import FloatArray, Recording, Signal
-from frasa_sysid.servo import NOMINAL
+from frasa_sysid.servo import NOMINAL, Servo
 
 GRAVITY = 9.81  # m/s^2
 SMOOTHING = 7  # samples; a position's quantum must not count as motion
@@ -135,8 +135,13 @@ def is_bench(recording: Recording) -> bool:
     return position is not None and not position.columns and not recording.linear and position.t.size >= 4 * SMOOTHING
 
 
-def motion(recording: Recording) -> Motion:
-    """What a bench run did; see `is_bench`."""
+def motion(recording: Recording, servo: Servo | None = None) -> Motion:
+    """What a bench run did; see `is_bench`.
+
+    Args:
+        recording: of the run.
+        servo: its type; by default the one that comes with frasa by the name that the log gives.
+    """
     position = recording.signal("position")
     t, q = position.t, position.y
     speed = np.gradient(_smooth(q), t)
@@ -161,7 +166,7 @@ def motion(recording: Recording) -> Motion:
         free_travel=float(np.ptp(q[~powered])) if (~powered).sum() > 2 else 0.0,
         has_drive="goal" in recording.signals or "voltage_command" in recording.signals,
         error_p95=float(np.percentile(np.abs(error), 95)) if error.size else 0.0,
-        saturated=_saturated(recording, error),
+        saturated=_saturated(recording, error, servo),
         goal_speed=_goal_speed(recording),
         gravity=gravity_torque(recording),
         lift=float(np.abs(np.sin(q)).max()),
@@ -202,11 +207,11 @@ def _error(recording: Recording, t: FloatArray, q: FloatArray) -> FloatArray:
     return np.asarray(np.interp(t, goal.t, goal.y) - q, dtype=np.float64)
 
 
-def _saturated(recording: Recording, error: FloatArray) -> float | None:
+def _saturated(recording: Recording, error: FloatArray, servo: Servo | None) -> float | None:
     rig = recording.rig
-    if rig.servo is None or rig.firmware_gain is None or error.size == 0:
+    known = servo or NOMINAL.get(rig.servo or "")
+    if rig.firmware_gain is None or error.size == 0:
         return None
-    known = NOMINAL.get(rig.servo)
     if known is None:
         return None
     duty = recording.signals.get("duty")
@@ -229,12 +234,16 @@ def _reversals(speed: FloatArray) -> int:
     return int(np.count_nonzero(np.diff(signs)))
 
 
-def motions(recordings: Sequence[Recording]) -> list[Motion]:
+def motions(recordings: Sequence[Recording], servo: Servo | None = None) -> list[Motion]:
     """What each bench run did; recordings of robots are left out.
+
+    Args:
+        recordings: of benches and robots.
+        servo: type of all, see `motion`.
 
     Raises:
         LogError: nothing to inspect.
     """
     if not recordings:
         raise LogError("no recording to inspect")
-    return [motion(recording) for recording in recordings if is_bench(recording)]
+    return [motion(recording, servo) for recording in recordings if is_bench(recording)]

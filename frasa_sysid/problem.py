@@ -13,7 +13,7 @@ from frasa_sysid.effects import AUTOMATIC, EFFECTS, law_numbers
 from frasa_sysid.errors import LogError, ModelError, UsageError
 from frasa_sysid.recording import FloatArray, Recording
 from frasa_sysid.rig import BenchRun
-from frasa_sysid.servo import Servo, servo
+from frasa_sysid.servo import Servo, find_table
 from frasa_sysid.servo_values import COLUMN, ServoValues
 
 # Bounds as multiples of the nominal value: wide enough for another unit, supply or gear ratio
@@ -146,21 +146,23 @@ class FitProblem:
         return np.array([one.low for one in self.free]), np.array([one.high for one in self.free])
 
 
-def stated_servo(name: str, model_path: Path) -> tuple[Servo, dict[str, float]]:
+def stated_servo(name: str, model_path: Path, table: Servo | None = None) -> tuple[Servo, dict[str, float]]:
     """A servo and the nominal value of each field, from the robot's model where it has that servo.
 
     Args:
         name: servo type.
         model_path: the nominal robot model.
+        table: of a user's own; by default that of the name beside the model, or that comes with frasa.
 
     Returns:
         The servo, and `ServoValues` fields in MuJoCo's terms at the servo's stated supply and gain.
 
     Raises:
         UsageError: nobody knows the servo.
-        ModelError: there is no such model, it is calibrated already, or a number in it is not positive.
+        ModelError: there is no such model, it is calibrated already, or a number in it is not positive or outside
+            the bounds of the servo's table.
     """
-    known = servo(name)
+    known = find_table(name, model_path).servo if table is None else table
     fields = {
         "kp": known.kp(),
         "forcerange": known.force_limit(),
@@ -179,8 +181,20 @@ def stated_servo(name: str, model_path: Path) -> tuple[Servo, dict[str, float]]:
         flat = [field for field in _SPAN if field in fields and not fields[field] > 0.0]
         if flat:
             raise ModelError(f"{model_path}: {', '.join(flat)} of '{name}' must be above 0 to start a fit from")
+        _check_bounds(known, fields, model_path)
     law = {name: getattr(known.friction, name) for name in FRICTION_FIELDS if name != "coulomb"}
     return known, {**fields, **law, "damping_off": known.friction.viscous, "offset": 0.0}
+
+
+def _check_bounds(known: Servo, fields: Mapping[str, float], model_path: Path) -> None:
+    """The numbers of a model must be ones that the table allows."""
+    for name, value in fields.items():
+        span = known.span(name)
+        if span is not None and not span[0] <= value <= span[1]:
+            raise ModelError(
+                f"{model_path}: {name} of '{known.name}' is {value:.4g} {_UNIT[name]}, its servo table allows "
+                f"{span[0]:.4g} to {span[1]:.4g}: one of the two is wrong"
+            )
 
 
 def state_problem(
@@ -212,7 +226,7 @@ def state_problem(
         UsageError: an unknown law or effect.
     """
     numbers, ties = law_numbers(check_law(law))
-    free = [_free(known.name, field, nominal, delay_range) for field in _basic_fields(train)]
+    free = [_free(known, field, nominal, delay_range) for field in _basic_fields(train)]
     top = max((_goal_speed(run) for run in train), default=0.0)
     for name in effects:
         if name not in EFFECTS:
@@ -336,14 +350,14 @@ def _parse(wanted: str, known: Sequence[float | str], rule: str) -> float | str:
     return near[0] if near else number
 
 
-def _free(owner: str, field: str, nominal: Mapping[str, float], delay_range: tuple[float, float]) -> FreeParameter:
-    value = nominal[field]
+def _free(known: Servo, field: str, nominal: Mapping[str, float], delay_range: tuple[float, float]) -> FreeParameter:
+    value, owner = nominal[field], known.name
     if field == "offset":
         return FreeParameter("bench.offset", "rad", -_LONGEST_OFFSET, _LONGEST_OFFSET, value, value)
     if field == "delay":
         return FreeParameter(f"{owner}.delay", "s", *delay_range, value, value)
-    low, high = _SPAN[field]
-    return FreeParameter(f"{owner}.{field}", _UNIT[field], low * value, high * value, value, value)
+    low, high = known.span(field) or (_SPAN[field][0] * value, _SPAN[field][1] * value)
+    return FreeParameter(f"{owner}.{field}", _UNIT[field], low, high, value, value)
 
 
 def servo_name(recordings: Sequence[Recording], given: str | None) -> str:
@@ -355,5 +369,5 @@ def servo_name(recordings: Sequence[Recording], given: str | None) -> str:
     names = {one.rig.servo for one in recordings if one.rig.servo} if given is None else {given}
     if len(names) != 1:
         found = ", ".join(sorted(names)) or "none"
-        raise LogError(f"the logs must be of one servo type, found: {found}; give --servo NAME")
+        raise LogError(f"the logs must be of one servo type, found: {found}; give --servo NAME_OR_TABLE")
     return names.pop()

@@ -112,7 +112,10 @@ def bench_run(recording: Recording, servo: Servo, timestep: float) -> BenchRun:
     inertia, gravity_torque = _load(recording)
     switches, powered_first = _switches(recording, start)
     absolute = rig.control != "position"
-    supply = 1.0 if absolute else _supply(recording)
+    # A firmware that makes up for the supply is as good as one on the stated supply, which never moves.
+    steady = servo.supply_compensated
+    supply = 1.0 if absolute else servo.supply_voltage if steady else _supply(recording)
+    share = supply / servo.supply_voltage
     cells = np.minimum(np.floor(t / timestep), steps - 1)
     return BenchRun(
         name=recording.name,
@@ -121,12 +124,12 @@ def bench_run(recording: Recording, servo: Servo, timestep: float) -> BenchRun:
         trajectory=rig.trajectory or "",
         inertia=inertia,
         gravity_torque=gravity_torque,
-        kp_scale=1.0 if absolute else _gain(recording) / servo.firmware_gain * supply / servo.supply_voltage,
-        force_scale=1.0 if absolute else supply / servo.supply_voltage,
+        kp_scale=1.0 if absolute else _gain(recording) / servo.firmware_gain * share,
+        force_scale=1.0 if absolute else share,
         control=rig.control,
         command=held_means(drive, start, steps, timestep),
         lead=0,
-        supply=_supply_course(recording, start, steps, timestep),
+        supply=np.ones(steps) if steady else _supply_course(recording, start, steps, timestep),
         switches=switches,
         powered_first=powered_first,
         q0=float(position.y[0]),
@@ -135,7 +138,7 @@ def bench_run(recording: Recording, servo: Servo, timestep: float) -> BenchRun:
         y=position.y,
         step=cells,
         weight=t / timestep - cells,
-        rest=1.0 if absolute else _rest(recording, drive, position) / supply,
+        rest=1.0 if absolute or steady else _rest(recording, drive, position) / supply,
     )
 
 

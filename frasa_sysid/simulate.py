@@ -176,7 +176,8 @@ def _integrate(
             error = goals[tick] - (q + bench.zero_offset)
             duty = np.clip(servo.error_gain * runs.gain * error, -servo.max_duty, servo.max_duty) * enables[tick]
         duties[k] = duty
-        current = (duty * volts - servo.kt * dq) / servo.R * enables[tick]
+        motor_volts = servo.supply_voltage if servo.supply_compensated else volts
+        current = (duty * motor_volts - servo.kt * dq) / servo.R * enables[tick]
         volts = bench.supply_voltage - bench.supply_resistance * duty * current
         motor = servo.kt * current
         q, dq = _step(servo, runs, q, dq, motor)
@@ -224,7 +225,8 @@ def _record(
 ) -> Recording:
     rng = np.random.default_rng((bench.seed, i + 1))
     stamps = _stamps(rng, clock, bench.stamp_jitter)
-    reading = np.round((angle + bench.zero_offset) / ENCODER_COUNT) * ENCODER_COUNT
+    count = 2.0 * np.pi / servo.ticks_per_turn
+    reading = np.round((angle + bench.zero_offset) / count) * count
     name = runs.trajectory[i]
     # The command of a cycle is written right after the read, so both carry one stamp.
     columns = {
@@ -283,9 +285,34 @@ BENCHES: dict[str, Bench] = {
 }
 
 
-def bench_of(servo: str, command_delay: float | None, seed: int | None) -> Bench:
+# A bench for any other servo: loads as shares of its stall torque, gains as multiples of the stated one.
+LOAD_SHARES = (0.07, 0.16, 0.3)
+GAIN_SHARES = (0.67, 1.33, 2.67)
+_ARMS = ((0.5, 0.05), (3.0, 0.1), (8.0, 0.15))  # stall torque [N m] below which an arm is so long [m]
+_LONGEST_ARM = 0.2  # [m]
+
+
+def bench_for(servo: Servo) -> Bench:
+    """A bench whose loads and gains suit a servo: `BENCHES` has its own for those of the stored logs."""
+    if servo.name in BENCHES:
+        return BENCHES[servo.name]
+    stall = servo.force_limit()
+    length = next((arm for most, arm in _ARMS if stall < most), _LONGEST_ARM)
+    masses = [share * stall / (GRAVITY * length) for share in LOAD_SHARES]
+    return Bench(
+        loads=tuple((float(f"{mass:.3g}"), length) for mass in masses),
+        gains=tuple(float(f"{share * servo.firmware_gain:.3g}") for share in GAIN_SHARES),
+        arm_mass=float(f"{0.1 * masses[0]:.3g}"),
+        supply_voltage=servo.supply_voltage,
+        supply_resistance=float(f"{0.01 * servo.R:.3g}"),
+        command_delay=0.0105,
+        zero_offset=0.008,
+    )
+
+
+def bench_of(servo: Servo, command_delay: float | None, seed: int | None) -> Bench:
     """The standard bench of a servo, with another delay [s] or seed when given."""
-    bench = BENCHES[servo]
+    bench = bench_for(servo)
     if command_delay is not None:
         bench = replace(bench, command_delay=command_delay)
     return bench if seed is None else replace(bench, seed=seed)

@@ -15,10 +15,11 @@ from frasa_sysid.problem import servo_name, split, stated_servo
 from frasa_sysid.readers import read_log
 from frasa_sysid.recording import Recording, Signal
 from frasa_sysid.rig import BenchRun, runs_of, segments
-from frasa_sysid.servo import Servo
+from frasa_sysid.servo import Servo, find_table, is_table
 
 NOMINAL_MODEL = Path("robot_model/nominal.xml")
 BENCH_MODEL = Path("robot_model/bench_pendulum.xml")
+SERVO_HELP = "servo type where the logs do not say, or a table of your own (.toml): see frasa-sysid servos"
 _FACTS = {"mass": "kg", "length": "m", "arm_mass": "kg", "firmware_gain": "P", "supply_voltage": "V"}
 
 
@@ -88,7 +89,7 @@ def people_console() -> Console:
 def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
     """Logs, servo, and facts of the rig that the logs do not carry."""
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="MCAP files, or folders of them")
-    parser.add_argument("--servo", help="servo type, when the logs do not say")
+    parser.add_argument("--servo", metavar="NAME_OR_TABLE", help=SERVO_HELP)
     parser.add_argument("--model", type=Path, default=NOMINAL_MODEL, help="nominal robot model [%(default)s]")
     parser.add_argument("--bench-model", type=Path, help="pendulum model [bench_pendulum.xml beside --model]")
     parser.add_argument("--clock", choices=("auto", "header", "publish", "log"), default="auto", help="which stamps")
@@ -144,8 +145,9 @@ def load_bench(
         UsageError: no log in a folder, no threads, or a bad hold-out rule.
     """
     recordings = read_logs(args) if recordings is None else recordings
-    name = servo_name(recordings, args.servo)
-    servo, nominal = stated_servo(name, args.model)
+    table = find_table(args.servo).servo if args.servo and is_table(args.servo) else None
+    name = servo_name(recordings, args.servo if table is None else table.name)
+    servo, nominal = stated_servo(name, args.model, table)
     train, held_out = split(recordings, hold_out)
     return Bench(servo, nominal, train, held_out)
 

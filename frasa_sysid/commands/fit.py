@@ -113,7 +113,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             _partial(out).unlink(missing_ok=True)
         show(result, extras)
         if not args.no_report:
-            beforehand = next_logs(bench_findings([*bench.train, *bench.held_out]))
+            beforehand = next_logs(bench_findings([*bench.train, *bench.held_out], bench.servo))
             outputs["report"] = write_fit_report(out.with_suffix(".html"), result, extras, session, beforehand)
         if result.stop is Stop.INTERRUPTED:
             raise InterruptedRunError(
@@ -215,6 +215,8 @@ def _extras(
 ) -> Extras:
     recordings = [*bench.train, *bench.held_out]
     facts = log_facts(recordings)
+    if bench.servo.supply_compensated:
+        facts.pop("supply_voltage", None)  # its numbers do not follow the supply, so there is no range of it to draw
     if result.stop is Stop.INTERRUPTED:
         return Extras(bench.origin, choice, from_logs=facts)
     delays = [one for one in result.evidence.estimates if one.name == f"{bench.servo.name}.delay"]

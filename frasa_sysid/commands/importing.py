@@ -26,6 +26,7 @@ from frasa_sysid.readers.effort import EFFORT_UNITS, UNDECLARED, declare_effort,
 from frasa_sysid.readers.signal_map import SignalMap, builtin_maps, load_map
 from frasa_sysid.recording import Recording
 from frasa_sysid.rig_table import RigRow, read_rig_table, with_rig
+from frasa_sysid.servo import find_table, is_table
 from frasa_sysid.writer import write_mcap
 
 SCHEMA = "frasa.import/1"
@@ -49,7 +50,9 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         metavar="CSV",
         help="inertia and gravity by rig: columns mass, length, total_inertia, total_g_bias",
     )
-    parser.add_argument("--servo", metavar="NAME", help="servo type, where the log does not say or says it wrong")
+    parser.add_argument(
+        "--servo", metavar="NAME_OR_TABLE", help="servo type, where the log does not say or says it wrong"
+    )
     parser.add_argument("--unit", choices=("rad", "deg"), help="unit of joint angles (default: rad, checked)")
     parser.add_argument(
         "--map",
@@ -169,7 +172,8 @@ def _import(
         recordings = [declare_effort(recording, args.effort_unit) for recording in recordings]
     if table is not None:
         recordings = [with_rig(recording, table, args.rig_table) for recording in recordings]
-    return [_finish(recording, source, args.servo, mapping) for recording in recordings]
+    name = find_table(args.servo).servo.name if args.servo and is_table(args.servo) else args.servo
+    return [_finish(recording, source, name, mapping) for recording in recordings]
 
 
 def _finish(recording: Recording, source: Path, servo: str | None, mapping: SignalMap | None) -> Recording:

@@ -3,7 +3,7 @@
 import argparse
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from frasa_sysid.calibration.command_line import add_json_flag
+from frasa_sysid.commands.bench import SERVO_HELP
 from frasa_sysid.commands.faults import show_faults
 from frasa_sysid.commands.log_health import all_checks, clock_report, show_checks, show_clocks
 from frasa_sysid.finding import Finding
@@ -23,6 +24,7 @@ from frasa_sysid.readers.effort import UNDECLARED, undeclared
 from frasa_sysid.recording import Recording, Signal
 from frasa_sysid.robot_findings import robot_findings
 from frasa_sysid.robot_rig import is_robot
+from frasa_sysid.servo import Servo, find_table
 
 SCHEMA = "frasa.inspect/1"
 FEW = 2  # recordings that are shown one by one
@@ -41,6 +43,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument(
         "--clock", choices=("auto", "header", "publish", "log"), default="auto", help="which stamps to use"
     )
+    parser.add_argument("--servo", metavar="NAME_OR_TABLE", help=SERVO_HELP)
     parser.add_argument("--verbose", action="store_true", help="every recording by itself, however many")
     add_json_flag(parser)
     parser.set_defaults(run=run)
@@ -51,9 +54,13 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     Raises:
         LogError: a log that cannot be read.
+        InputError, UsageError: an unknown servo, or a table that cannot be used.
     """
     recordings = [recording for path in args.logs for recording in read_log(path, args.clock)]
-    found = _by_servo(recordings)
+    servo = find_table(args.servo).servo if args.servo else None
+    if servo is not None:
+        recordings = [replace(one, rig=replace(one.rig, servo=servo.name)) for one in recordings]
+    found = _by_servo(recordings, servo)
     console = Console(stderr=True, highlight=False)
     if args.verbose or len(recordings) <= FEW:
         for recording in recordings:
@@ -77,14 +84,14 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _by_servo(recordings: Sequence[Recording]) -> dict[str, list[Finding]]:
+def _by_servo(recordings: Sequence[Recording], servo: Servo | None) -> dict[str, list[Finding]]:
     """Verdicts for each servo type: logs of one say nothing about another."""
     groups: dict[str, list[Recording]] = defaultdict(list)
     for recording in recordings:
         groups[recording.rig.servo or "servo not named"].append(recording)
-    found = {servo: bench_findings(members) for servo, members in sorted(groups.items())}
+    found = {name: bench_findings(members, servo) for name, members in sorted(groups.items())}
     found[ROBOT] = robot_findings(recordings)
-    return {servo: several for servo, several in found.items() if several}
+    return {name: several for name, several in found.items() if several}
 
 
 def _describe(recording: Recording) -> dict[str, Any]:

@@ -8,8 +8,8 @@ from typing import Any
 from frasa_sysid.calibration import add_json_flag, say, sha256_of_file
 from frasa_sysid.commands.simulate_robot import add_robot_arguments, run_robot
 from frasa_sysid.errors import UsageError
-from frasa_sysid.servo import PUBLISHED_M4, servo
-from frasa_sysid.simulate import BENCHES, bench_of, simulate_bench, truth_of
+from frasa_sysid.servo import find_table
+from frasa_sysid.simulate import bench_of, simulate_bench, truth_of
 from frasa_sysid.writer import write_mcap
 
 SCHEMA = "frasa.simulate/1"
@@ -23,13 +23,14 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser = subparsers.add_parser(
         "simulate",
         help="a log with known truth",
-        description="Simulate a pendulum bench of a servo with the load-dependent Stribeck law (M4) that Rhoban/bam "
-        "published for it: several loads, gains and trajectories in one MCAP file, marked simulated, with its truth. "
+        description="Simulate a pendulum bench of a servo with the numbers of its table, a friction law beyond "
+        "Coulomb-viscous where it has one (mx106, mx64: M4, as Rhoban/bam published it): several loads, gains and "
+        "trajectories in one MCAP file, marked simulated, with its truth. "
         "Or, with --robot, a whole robot of such servos whose delays, joint zeros, scales and trunk are drawn at "
         "random from --seed.",
     )
     kind = parser.add_mutually_exclusive_group(required=True)
-    kind.add_argument("--servo", choices=sorted(BENCHES), help="a bench of this servo")
+    kind.add_argument("--servo", metavar="NAME_OR_TABLE", help="a bench of this servo: see frasa-sysid servos")
     kind.add_argument("--robot", action="store_true", help="a whole robot")
     parser.add_argument("--out", required=True, type=Path, metavar="LOG", help="MCAP file to write")
     parser.add_argument("--seed", type=int, help="of jitter and noise, and of a robot's truth; by default its own")
@@ -62,14 +63,17 @@ def _run_bench(args: argparse.Namespace) -> dict[str, Any]:
         age = getattr(args, name)
         if age is not None and not 0.0 <= age <= _LONGEST_DELAY:
             raise UsageError(f"--{name.replace('_', '-')} {age}: expected seconds, 0 to {_LONGEST_DELAY}")
-    truth = servo(args.servo, PUBLISHED_M4)
-    bench = bench_of(args.servo, args.delay, args.seed)
+    table = find_table(args.servo)
+    if table.linear:
+        raise UsageError(f"--servo {args.servo}: a linear axis swings no pendulum")
+    truth = table.simulated or table.servo
+    bench = bench_of(truth, args.delay, args.seed)
     bench = replace(bench, position_age=args.position_age or 0.0, duty_age=args.duty_age)
     recordings = simulate_bench(truth, bench, args.out.name)
     write_mcap(args.out, recordings)
-    say(f"{args.out}: {len(recordings)} simulated runs of {args.servo}, command delay {bench.command_delay * 1e3:g} ms")
+    say(f"{args.out}: {len(recordings)} simulated runs of {truth.name}, command delay {bench.command_delay * 1e3:g} ms")
     return {
-        "servo": args.servo,
+        "servo": truth.name,
         "runs": len(recordings),
         "truth": truth_of(truth, bench),
         "source": truth.source,

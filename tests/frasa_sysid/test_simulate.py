@@ -114,8 +114,8 @@ def test_the_faults_of_a_log():
 
 def test_another_delay_or_seed():
     """Delay and seed are those asked for; the same seed gives the same log, another one another."""
-    assert bench_of("mx64", None, None) == BENCHES["mx64"]
-    assert bench_of("mx64", 0.002, 5) == replace(BENCHES["mx64"], command_delay=0.002, seed=5)
+    assert bench_of(MX64, None, None) == BENCHES["mx64"]
+    assert bench_of(MX64, 0.002, 5) == replace(BENCHES["mx64"], command_delay=0.002, seed=5)
     noisy = replace(STEADY, read_jitter=0.0004)
     one, two, other = (simulate_bench(MX64, replace(noisy, seed=seed), "x")[0].signal("position") for seed in (1, 1, 2))
     np.testing.assert_array_equal(one.y, two.y)
