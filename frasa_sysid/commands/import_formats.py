@@ -16,6 +16,7 @@ from frasa_sysid.readers.harold import read_harold
 from frasa_sysid.readers.imu_on_axis import read_imu_on_axis
 from frasa_sysid.readers.jandi import TELEMETRY, companions, read_jandi
 from frasa_sysid.readers.kbot import read_kbot
+from frasa_sysid.readers.kept_windows import Limit
 from frasa_sysid.readers.mcap import read_mcap
 from frasa_sysid.readers.miuzei import read_miuzei
 from frasa_sysid.readers.npz_columns import NpzFile
@@ -37,7 +38,7 @@ READERS: Mapping[str, Read] = {
     "imu_on_axis": lambda path, _unit, _map: read_imu_on_axis(path),
     "jandi": lambda path, _unit, _map: read_jandi(path),
     "kbot": lambda path, _unit, _map: read_kbot(path),
-    "mcap": lambda path, unit, mapping: read_mcap(path, unit=unit, mapping=mapping),
+    "mcap": lambda path, unit, mapping: read_mcap(path, unit=unit, mapping=mapping, limit=Limit(None)),
     "miuzei": lambda path, _unit, _map: read_miuzei(path),
     "npz": lambda path, _unit, mapping: read_columns(NpzFile(path), mapping),
     "parquet": lambda path, _unit, mapping: read_columns(ParquetFile(path), mapping),

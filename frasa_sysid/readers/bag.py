@@ -19,6 +19,7 @@ from frasa_sysid.errors import LogError
 from frasa_sysid.message_definitions import DEFINITIONS
 from frasa_sysid.readers.bag_definitions import LEGACY
 from frasa_sysid.readers.decoders import Decode, Extract, extract_ros
+from frasa_sysid.readers.kept_windows import KeptWindows, Limit
 from frasa_sysid.readers.mapped import extractor_of
 from frasa_sysid.readers.mcap import recordings_of
 from frasa_sysid.readers.mcap_series import Collected, take
@@ -44,7 +45,8 @@ def read_bag(path: Path, unit: Unit = "auto", mapping: SignalMap | None = None) 
         LogError: `rosbags` is not installed, no such bag, damaged, or nothing in it that frasa can use.
     """
     kind = _checked(path)
-    collected = Collected()
+    # What is brought in is brought in whole.
+    collected = Collected(windows=KeptWindows(Limit(None)))
     with _opened(path, kind) as reader:
         lost = _collect(reader, kind == ".bag", mapping, collected)
     lost += _unmerged(path)

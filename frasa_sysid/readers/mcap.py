@@ -5,14 +5,13 @@ those of one clock, chosen for the whole file and declared (design law 8): the h
 stamp if every signal has one, else the publish time, else the log time.
 """
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from frasa_sysid import bench_record
 from frasa_sysid.bench_record import BenchRecord
@@ -21,13 +20,17 @@ from frasa_sysid.clocks import compare_clocks
 from frasa_sysid.errors import LogError
 from frasa_sysid.message_definitions import SIMULATED
 from frasa_sysid.readers import faults as known_faults
+from frasa_sysid.readers.excerpts import excerpt_faults, nothing_inside, whole_log
+from frasa_sysid.readers.kept_windows import Limit
 from frasa_sysid.readers.mapped import rank_in, unused_entries
-from frasa_sysid.readers.mcap_series import CLOCKS, Collected, Series, collect, file_faults, nothing_found
+from frasa_sysid.readers.mcap_series import Collected, collect, file_faults, nothing_found
+from frasa_sysid.readers.mcap_signals import in_radians, signal_of, whole_span
 from frasa_sysid.readers.mcap_stream import StreamReport
-from frasa_sysid.readers.sampling import make_signal, plural
+from frasa_sysid.readers.sampling import plural
+from frasa_sysid.readers.series import CLOCKS, Block, Series
 from frasa_sysid.readers.signal_map import SignalMap
 from frasa_sysid.readers.sources import Unit, check_source
-from frasa_sysid.recording import LINEAR_UNITS, UNITS, Clock, Fault, Recording, RigFacts, Signal
+from frasa_sysid.recording import Clock, Fault, Recording, RigFacts, Signal
 
 COMPARED: tuple[tuple[Clock, Clock], ...] = (("log", "header"), ("log", "publish"), ("publish", "header"))
 MAIN_TOPICS = ("/joint_states", "/joint_command", "/imu/data")
@@ -38,6 +41,7 @@ def read_mcap(
     clock: Clock | Literal["auto"] = "auto",
     unit: Unit = "auto",
     mapping: SignalMap | None = None,
+    limit: Limit | None = None,
 ) -> list[Recording]:
     """The recordings of an MCAP file.
 
@@ -46,16 +50,19 @@ def read_mcap(
         clock: which stamps to use; `auto` takes the best that all signals have.
         unit: of joint angles; `deg` converts, `auto` refuses goals that can only be degrees.
         mapping: which topics are which signals; by default the message types say it.
+        limit: how much of it is kept in memory; by default as much as usual.
 
     Returns:
         One recording for each `frasa.bench` record with a time window, named
         `<file>#<run>`; or one, named after the file, without such records.
+        Of a log that is kept in part: one for each stretch of it, with `@<seconds>s` behind
+        the name, and a fault that says what was let go.
 
     Raises:
         LogError: no such file, no MCAP, damaged, or nothing in it that frasa can use.
     """
     check_source(path)
-    return recordings_of(path, collect(path, mapping), clock, unit, mapping)
+    return recordings_of(path, collect(path, mapping, limit), clock, unit, mapping)
 
 
 def recordings_of(
@@ -73,21 +80,33 @@ def recordings_of(
     chosen = _choose_clock(path, collected, clock, faults)
     named = _name_signals(collected, mapping)
     runs = _bench_records(path, collected.report)
-    faults += _outside_faults(runs, named, chosen)
+    stretches = collected.windows.stretches()
+    faults += [*_outside_faults(runs, named, chosen, stretches), *excerpt_faults(collected, named, stretches, chosen)]
     sha256 = sha256_of_file(path)
-    clocks = _compare_clocks(collected)
+    clocks = _compare_clocks(collected, stretches)
+    whole = whole_log(named, stretches, chosen) if collected.windows.gone else {}
     recordings = []
-    for run in runs:
-        recording = _make_recording(path, run, named, chosen, unit, sha256)
-        if recording is not None:
-            recordings.append(recording)
+    for stretch in stretches:
+        taken = {name: series.take(stretch) for name, series in named.items()}
+        for run in runs:
+            recording = _make_recording(path, run, named, taken, chosen, unit, sha256)
+            if recording is not None:
+                recordings.append(_of_stretch(recording, stretch, collected) if whole else recording)
     if not recordings:
-        raise LogError(f"{path}: none of its messages lies in the time window of a run")
-    if len(recordings) < len(runs):
+        raise LogError(f"{path}: {nothing_inside(collected)}")
+    if len(recordings) < len(runs) and not whole:
         lost = len(runs) - len(recordings)
         faults.append(Fault("lost_run", lost, f"{lost} of {len(runs)} runs have no sample left"))
     recordings[-1] = replace(recordings[-1], faults=(*recordings[-1].faults, *faults))
+    recordings[0] = replace(recordings[0], extra={**recordings[0].extra, **whole})
     return [_with_clocks(recording, clocks) for recording in recordings] if clocks else recordings
+
+
+def _of_stretch(recording: Recording, stretch: Sequence[int], collected: Collected) -> Recording:
+    """A recording of one stretch of a log, named by when it begins."""
+    begin, end = collected.windows.span(stretch)
+    excerpt = {"from_s": begin, "to_s": end, "log_s": collected.windows.seconds}
+    return replace(recording, name=f"{recording.name}@{begin:.0f}s", extra={**recording.extra, "excerpt": excerpt})
 
 
 # Clock and names
@@ -116,20 +135,19 @@ def _choose_clock(path: Path, collected: Collected, asked: Clock | Literal["auto
         text = f"{', '.join(lacking)}: no header stamps, so none are used; one recording has one clock"
         faults.append(Fault("clock_fallback", len(lacking), text))
     # Where the publish time is unknown it repeats the log time: then it says nothing more.
-    if all(one.has("publish") for one in series.values()) and any(
-        one.stamps["publish"] != one.stamps["log"] for one in series.values()
-    ):
+    if all(one.has("publish") for one in series.values()) and any(one.published for one in series.values()):
         return "publish"
     return "log"
 
 
-def _compare_clocks(collected: Collected) -> list[dict[str, Any]]:
+def _compare_clocks(collected: Collected, stretches: Sequence[Sequence[int]]) -> list[dict[str, Any]]:
     """The file's stamps against each other, on the topic with the most messages that has two that differ."""
     longest = sorted(collected.series.values(), key=lambda one: (-one.size, one.topic, one.name))
+    windows = sorted({*collected.windows.gone, *(window for stretch in stretches for window in stretch)})
     found = []
     for of, against in COMPARED:
         for one in longest:
-            later, earlier = one.times(of), one.times(against)
+            later, earlier = one.stamps(windows)[:, [CLOCKS.index(of), CLOCKS.index(against)]].T
             both = (later > 0) & (earlier > 0)
             if both.sum() < 2 or (later[both] == earlier[both]).all():
                 continue
@@ -184,13 +202,15 @@ def _bench_records(path: Path, report: StreamReport) -> list[BenchRecord]:
     return records
 
 
-def _outside_faults(runs: Sequence[BenchRecord], named: Mapping[str, Series], clock: Clock) -> list[Fault]:
+def _outside_faults(
+    runs: Sequence[BenchRecord], named: Mapping[str, Series], clock: Clock, stretches: Sequence[Sequence[int]]
+) -> list[Fault]:
     windows = [run.window for run in runs if run.window is not None]
     if not windows:
         return []
-    outside = 0
+    outside, kept = 0, [window for stretch in stretches for window in stretch]
     for series in named.values():
-        stamps = series.times(clock)
+        stamps = series.stamps(kept)[:, CLOCKS.index(clock)]
         inside = np.zeros(stamps.size, dtype=bool)
         for start, end in windows:
             inside |= (stamps >= start) & (stamps <= end)
@@ -200,15 +220,21 @@ def _outside_faults(runs: Sequence[BenchRecord], named: Mapping[str, Series], cl
 
 
 def _make_recording(
-    path: Path, run: BenchRecord, named: Mapping[str, Series], clock: Clock, unit: Unit, sha256: str
+    path: Path,
+    run: BenchRecord,
+    named: Mapping[str, Series],
+    taken: Mapping[str, Sequence[Block]],
+    clock: Clock,
+    unit: Unit,
+    sha256: str,
 ) -> Recording | None:
-    window = run.window or _whole(named, clock)
+    window = run.window or whole_span(taken, clock)
     signals: dict[str, Signal] = {}
     found: list[Fault] = []
     for name, series in named.items():
-        signal = _make_signal(name, series, clock, window, run.units, found)
+        signal = signal_of(name, series, taken[name], clock, window, run.units, found)
         if signal is not None:
-            signals[name] = _in_radians(signal, unit)
+            signals[name] = in_radians(signal, unit)
     if not signals:
         return None
     if unit == "auto":
@@ -230,71 +256,3 @@ def _make_recording(
         truth=run.truth,
         extra=run.extra,
     )
-
-
-def _whole(named: Mapping[str, Series], clock: Clock) -> tuple[int, int]:
-    filled = np.concatenate([one.times(clock) for one in named.values()])
-    filled = filled[filled > 0]
-    return int(filled.min()), int(filled.max())
-
-
-def _make_signal(
-    name: str, series: Series, clock: Clock, window: tuple[int, int], units: Mapping[str, str], found: list[Fault]
-) -> Signal | None:
-    stamps = series.times(clock)
-    inside = np.flatnonzero((stamps >= window[0]) & (stamps <= window[1]) & (stamps > 0))
-    lacking = int((stamps == 0).sum())
-    if lacking:
-        found.append(Fault("no_stamp", lacking, f"{name}: {lacking} messages without a {clock} stamp; dropped"))
-    if inside.size == 0:
-        return None
-    kept, columns, y = _matrix(name, series, inside, found)
-    # Subtracted as whole nanoseconds: a float cannot hold an epoch time to the nanosecond.
-    t = (stamps[kept] - np.uint64(window[0])).astype(np.float64) / 1e9
-    signal, faults = make_signal(name, _unit(name, series.unit, units.get(name)), t, y, columns)
-    found += faults
-    return signal
-
-
-def _unit(name: str, of_type: str | None, declared: str | None) -> str:
-    """The unit that the message type fixes, else the declared one, else the usual one."""
-    # JointState is in radians for joints that turn and in metres for those that slide: only the record can say.
-    if declared is not None and declared == LINEAR_UNITS.get(name):
-        return declared
-    if of_type is not None and of_type != "raw":
-        return of_type
-    return declared or UNITS.get(name, "raw")
-
-
-def _matrix(
-    name: str, series: Series, inside: npt.NDArray[np.intp], found: list[Fault]
-) -> tuple[npt.NDArray[np.intp], tuple[str, ...], npt.NDArray[np.float64]]:
-    """Values in the columns that most messages have; the same joints in another order are sorted in."""
-    whole = series.table()
-    if whole is not None:
-        columns = series.columns[0]
-        return (inside, (), whole[inside, 0]) if len(columns) == 1 else (inside, columns, whole[inside])
-    usual = Counter(series.columns[i] for i in inside).most_common(1)[0][0]
-    same = frozenset(usual)
-    kept = np.array([i for i in inside if series.columns[i] == usual or _permuted(series.columns[i], same, usual)])
-    y = np.empty((kept.size, len(usual)))
-    for row, i in enumerate(kept):
-        names, values = series.columns[i], series.values(i)
-        by_name = {} if names == usual else dict(zip(names, values, strict=True))
-        y[row] = [by_name[column] for column in usual] if by_name else values
-    if kept.size < inside.size:
-        other = int(inside.size - kept.size)
-        found.append(Fault("other_joints", other, f"{name}: {other} messages name other joints than most; dropped"))
-    return (kept, (), y[:, 0]) if len(usual) == 1 else (kept, usual, y)
-
-
-def _permuted(columns: tuple[str, ...], same: frozenset[str], usual: tuple[str, ...]) -> bool:
-    return len(columns) == len(usual) and frozenset(columns) == same
-
-
-def _in_radians(signal: Signal, unit: Unit) -> Signal:
-    if unit != "deg" or signal.name.split("@")[0] not in ("position", "velocity", "goal", "goal_velocity"):
-        return signal
-    if signal.unit not in ("rad", "rad/s"):
-        raise LogError(f"--unit deg: '{signal.name}' is in [{signal.unit}], which is no angle; leave out --unit")
-    return replace(signal, y=np.deg2rad(signal.y))

@@ -8,16 +8,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import lz4.frame  # type: ignore[import-untyped]
+import numpy as np
+import numpy.typing as npt
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Message, Schema
+from mcap.records import Channel, Chunk, Schema
 
 from frasa_sysid.errors import LogError
 
 HEAD = struct.Struct("<BQ")
-MESSAGE_HEAD = struct.Struct("<HIQQ")
+# A message record from its opcode on: one row of this, then the message itself.
+RECORD_HEAD = np.dtype(
+    [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")]
+)
+MESSAGE_HEAD = RECORD_HEAD.itemsize - HEAD.size  # bytes of a record before the message itself
 COMPRESSIONS = ("", "lz4", "zstd")
 CHUNK_LIMIT = 2**28  # bytes after decompression; recorders write chunks of 1 to 16 MB
 PARSE_ERRORS = (McapError, struct.error, ValueError, OverflowError, zstandard.ZstdError, RuntimeError, EOFError)
@@ -33,25 +39,59 @@ class Frame:
     whole: bool = True
 
 
+@dataclass(frozen=True)
+class Messages:
+    """n message records that stand one after the other, not taken apart yet: there may be millions.
+
+    Attributes:
+        data: bytes that they stand in.
+        heads: channel, log and publish time [ns] of each, shape (n,), see `RECORD_HEAD`.
+        starts: where the message itself begins in `data`, shape (n,).
+        sizes: its bytes, shape (n,).
+    """
+
+    data: bytes
+    heads: npt.NDArray[np.void]
+    starts: npt.NDArray[np.int64]
+    sizes: npt.NDArray[np.int64]
+
+
 def stream_of(body: bytes) -> ReadDataStream:
     """A record's body as the library wants it."""
     return ReadDataStream(io.BytesIO(body))
 
 
-def parse(frame: Frame) -> Schema | Channel | Message:
+def parse(frame: Frame) -> Schema | Channel | Messages:
     """One of the three records that matter, parsed."""
-    record: Schema | Channel | Message
+    record: Schema | Channel
     if frame.opcode == Opcode.SCHEMA:
         record = Schema.read(stream_of(frame.body))
     elif frame.opcode == Opcode.CHANNEL:
         record = Channel.read(stream_of(frame.body))
     else:
-        channel, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(frame.body)
-        record = Message(channel, log_time, frame.body[MESSAGE_HEAD.size :], publish_time, sequence)
+        return messages_at(HEAD.pack(frame.opcode, len(frame.body)) + frame.body, [0])
     return record
 
 
-def chunk_records(path: Path, frame: Frame) -> Iterator[Schema | Channel | Message]:
+def messages_at(data: bytes, offsets: list[int]) -> Messages:
+    """The message records that begin at some offsets, one at least.
+
+    Raises:
+        ValueError: a record that is too short for a message.
+    """
+    begins = np.array(offsets, dtype=np.int64)
+    size = RECORD_HEAD.itemsize
+    if len(data) < int(begins[-1]) + size:
+        raise ValueError("a message record is too short")
+    windows = np.lib.stride_tricks.sliding_window_view(np.frombuffer(data, np.uint8), size)
+    heads = np.ascontiguousarray(windows[begins]).view(RECORD_HEAD)[:, 0]
+    sizes = heads["length"].astype(np.int64) - MESSAGE_HEAD
+    if (sizes < 0).any():
+        raise ValueError("a message record is too short")
+    return Messages(data, heads, begins + size, sizes)
+
+
+def chunk_records(path: Path, frame: Frame) -> Iterator[Schema | Channel | Messages]:
     """The records inside a chunk; of one that is cut short, those that came before the cut.
 
     Raises:
@@ -77,19 +117,29 @@ def chunk_records(path: Path, frame: Frame) -> Iterator[Schema | Channel | Messa
     yield from _inner_records(data, frame.whole)
 
 
-def _inner_records(data: bytes, whole: bool) -> Iterator[Schema | Channel | Message]:
-    offset = 0
-    while offset < len(data):
-        end_of_head = offset + HEAD.size
-        if end_of_head <= len(data):
-            opcode, length = HEAD.unpack_from(data, offset)
-        if end_of_head > len(data) or length > len(data) - end_of_head:
+def _inner_records(data: bytes, whole: bool) -> Iterator[Schema | Channel | Messages]:
+    """The records of a chunk, messages that follow one another together."""
+    offset, end, offsets = 0, len(data), []
+    message, head, unpack = int(Opcode.MESSAGE), HEAD.size, HEAD.unpack_from  # looked up once, not a million times
+    while offset < end:
+        after = offset + head
+        if after <= end:
+            opcode, length = unpack(data, offset)
+        if after > end or length > end - after:
             if whole:
                 raise ValueError("a record inside the chunk is longer than the chunk")
-            return
-        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
-            yield parse(Frame(offset, opcode, data[end_of_head : end_of_head + length]))
-        offset = end_of_head + length
+            break
+        if opcode == message:
+            offsets.append(offset)
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            # What describes a channel counts from here on.
+            if offsets:
+                yield messages_at(data, offsets)
+                offsets = []
+            yield parse(Frame(offset, opcode, data[after : after + length]))
+        offset = after + length
+    if offsets:
+        yield messages_at(data, offsets)
 
 
 def _unpack(chunk: Chunk) -> bytes:

@@ -1,9 +1,9 @@
 """The readings of a file of messages, quantity by quantity, before a clock is chosen and runs are cut.
 
-A reading takes eight bytes a number and four words beside them, however long the file is.
+Messages that are alike are read many at once, at the places that their decoder showed (`message_layout`); all others
+one by one. What is kept of a long log is bounded (`kept_windows`).
 """
 
-from array import array
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,69 +14,22 @@ from mcap.records import Channel, Schema
 from mcap_ros2.decoder import DecoderFactory
 
 from frasa_sysid.errors import LogError
-from frasa_sysid.readers.decoders import Decode, Decoded, Reading, decoder_for
+from frasa_sysid.readers.decoders import Decode, Decoded, decoder_for
 from frasa_sysid.readers.fields import ReadingError
+from frasa_sysid.readers.kept_windows import KeptWindows, Limit
 from frasa_sysid.readers.mapped import extractor_of
-from frasa_sysid.readers.mcap_stream import StreamReport, read_messages
+from frasa_sysid.readers.mcap_stream import Batch, StreamReport, read_batches
+from frasa_sysid.readers.message_layout import Layout, learn
+from frasa_sysid.readers.series import Block, Series
 from frasa_sysid.readers.signal_map import SignalMap
-from frasa_sysid.recording import Clock, Fault, FloatArray
+from frasa_sysid.recording import Fault
 
-Stamps = npt.NDArray[np.uint64]
-CLOCKS: tuple[Clock, ...] = ("header", "publish", "log")
-MISSING_STAMPS = 0.01  # share (and one: simulated time begins at 0) that a stamped channel may lack
-LATEST = 2**63  # ns; the year 2262
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+ALIKE = 24  # messages of one size in a batch from which on their layout is worth learning
+LAYOUTS = 6  # of one channel and size at most: where more differs than numbers, the decoder is as fast
+CHECKED = 1024  # messages that are taken one by one between two looks at the room that is left
 
-
-@dataclass
-class Series:
-    """The readings of one quantity on one topic, in file order; stamps [ns], 0 where there is none."""
-
-    topic: str
-    name: str
-    unit: str | None
-    stamps: dict[Clock, "array[int]"] = field(default_factory=lambda: {clock: array("Q") for clock in CLOCKS})
-    columns: list[tuple[str, ...]] = field(default_factory=list)
-    _numbers: "array[float]" = field(default_factory=lambda: array("d"))
-    _ends: "array[int]" = field(default_factory=lambda: array("Q", [0]))
-    _seen: dict[tuple[str, ...], tuple[str, ...]] = field(default_factory=dict)
-    _times: dict[Clock, Stamps] = field(default_factory=dict)
-
-    def add(self, reading: Reading, stamp: int | None, publish: int, log: int) -> None:
-        """Append one reading with its stamps [ns]."""
-        values = array("d", [float(value) for value in reading.values])  # may fail: before anything is kept
-        for clock, time in zip(CLOCKS, (stamp or 0, publish, log), strict=True):
-            self.stamps[clock].append(time if 0 < time < LATEST else 0)
-        # Every message names its joints anew: the same names are kept once.
-        self.columns.append(self._seen.setdefault(reading.columns, reading.columns))
-        self._numbers.extend(values)
-        self._ends.append(len(self._numbers))
-
-    @property
-    def size(self) -> int:
-        """Number of readings."""
-        return len(self.columns)
-
-    def values(self, i: int) -> FloatArray:
-        """The numbers of one reading, shape (k,)."""
-        return np.array(self._numbers[self._ends[i] : self._ends[i + 1]])
-
-    def table(self) -> FloatArray | None:
-        """All readings, shape (T, k), where all have the same columns; else None. The last thing to ask for."""
-        if len(self._seen) != 1:
-            return None
-        return np.frombuffer(self._numbers).reshape(self.size, -1)
-
-    def has(self, clock: Clock) -> bool:
-        """Whether (nearly) all readings carry that clock's stamp."""
-        lacking = int((self.times(clock) == 0).sum())
-        return lacking <= max(1, MISSING_STAMPS * self.size) and lacking < self.size
-
-    def times(self, clock: Clock) -> Stamps:
-        """All stamps of one clock [ns], shape (T,); made once, for many runs ask."""
-        if clock not in self._times:
-            self._times[clock] = np.array(self.stamps[clock], dtype=np.uint64)
-        return self._times[clock]
+Rows = npt.NDArray[np.int64]
 
 
 @dataclass
@@ -87,28 +40,115 @@ class Collected:
     report: StreamReport = field(default_factory=StreamReport)
     skipped: Counter[str] = field(default_factory=Counter)
     unused: set[str] = field(default_factory=set)
+    windows: KeptWindows = field(default_factory=KeptWindows)
+    taken: int = 0
+
+    def of(self, topic: str, name: str, unit: str | None) -> Series:
+        """The series of one quantity on one topic; a new one where there was none."""
+        return self.series.setdefault((topic, name), Series(topic, name, unit))
+
+    def make_room(self, final: bool = False) -> None:
+        """Keep no more than the limit allows."""
+        self.windows.make_room(self.series.values(), final)
 
 
-def collect(path: Path, mapping: SignalMap | None = None) -> Collected:
+def collect(path: Path, mapping: SignalMap | None = None, limit: Limit | None = None) -> Collected:
     """Decode all messages of a file that frasa understands.
 
     Args:
         path: an MCAP file.
         mapping: which topics are which signals; by default the message types say it.
+        limit: how much of it is kept; by default as much as usual.
 
     Raises:
         LogError: no MCAP file, a damaged one, or a package for its encoding is not installed.
     """
-    collected = Collected()
+    collected = Collected(windows=KeptWindows(limit or Limit()))
     ros2 = DecoderFactory()
-    decoders: dict[int, Decode | None] = {}
-    for channel, schema, message in read_messages(path, collected.report):
-        if channel.id not in decoders:
-            decoders[channel.id] = _find_decoder(channel, schema, ros2, collected, mapping)
-        decode = decoders[channel.id]
-        if decode is not None:
-            take(collected, channel.topic, decode, message.data, message.publish_time, message.log_time)
+    takers: dict[int, _Taker | None] = {}
+    for batch in read_batches(path, collected.report):
+        channel = batch.channel
+        if channel.id not in takers:
+            decode = _find_decoder(channel, batch.schema, ros2, collected, mapping)
+            takers[channel.id] = None if decode is None else _Taker(collected, decode)
+        taker = takers[channel.id]
+        if taker is not None:
+            taker.take(batch)
+            collected.make_room()
+    collected.make_room(final=True)
+    # Alike messages were taken together: what came first in the file comes first again.
+    collected.series = dict(sorted(collected.series.items(), key=lambda item: item[1].first))
     return collected
+
+
+class _Taker:
+    """Takes the messages of one channel, alike ones together."""
+
+    def __init__(self, collected: Collected, decode: Decode) -> None:
+        self._collected, self._decode = collected, decode
+        self._layouts: dict[int, list[Layout]] = {}
+        self._full: set[int] = set()  # sizes of which no further layout is learned
+
+    def take(self, batch: Batch) -> None:
+        """Keep the readings of a batch."""
+        windows = self._collected.windows.of(batch.log)
+        left = np.ones(batch.starts.size, dtype=bool)
+        sizes, counts = np.unique(batch.sizes, return_counts=True)
+        for size, count in zip(sizes.tolist(), counts.tolist(), strict=True):
+            if size in self._layouts or (count >= ALIKE and size not in self._full):
+                rows = np.flatnonzero(batch.sizes == size)
+                left[rows] = self._together(batch, windows, rows, size)
+        for i in np.flatnonzero(left).tolist():
+            start = int(batch.starts[i])
+            data = batch.data[start : start + int(batch.sizes[i])]
+            times = (int(batch.publish[i]), int(batch.log[i]))
+            _take(
+                self._collected, batch.channel.topic, self._decode, data, int(windows[i]), int(batch.places[i]), times
+            )
+
+    def _together(self, batch: Batch, windows: Rows, rows: Rows, size: int) -> npt.NDArray[np.bool_]:
+        """Read the messages of one size that have a known layout; which of them have none."""
+        every = np.lib.stride_tricks.sliding_window_view(np.frombuffer(batch.data, np.uint8), size)[batch.starts[rows]]
+        left = np.ones(rows.size, dtype=bool)
+        known = self._layouts.setdefault(size, [])
+        for layout in known:
+            self._read(layout, batch, windows, rows, every, left)
+        while left.sum() >= ALIKE and size not in self._full:
+            layout_or_none = learn(self._decode, every[int(np.argmax(left))].tobytes())
+            if layout_or_none is None or len(known) + 1 >= LAYOUTS:
+                self._full.add(size)
+            if layout_or_none is None:
+                break
+            known.append(layout_or_none)
+            self._read(layout_or_none, batch, windows, rows, every, left)
+        return left
+
+    def _read(
+        self,
+        layout: Layout,
+        batch: Batch,
+        windows: Rows,
+        rows: Rows,
+        every: npt.NDArray[np.uint8],
+        left: npt.NDArray[np.bool_],
+    ) -> None:
+        fitting = left & layout.matches(every)
+        if not fitting.any():
+            return
+        left &= ~fitting
+        messages, chosen = (every if fitting.all() else every[fitting]), rows[fitting]
+        stamps = np.column_stack([layout.stamps(messages), batch.publish[chosen], batch.log[chosen]])
+        inside = windows[chosen]
+        numbers = np.unique(inside).tolist()
+        for place in layout.places:
+            reading = place.reading
+            values = layout.values(messages, place)
+            series = self._collected.of(batch.channel.topic, reading.name, reading.unit)
+            for window in numbers:
+                part = slice(None) if len(numbers) == 1 else inside == window
+                block = Block(reading.columns, batch.places[chosen][part], stamps[part], values[part])
+                series.add_rows(window, block)
+                self._collected.windows.count(window, len(block.places), block.values.size)
 
 
 def _find_decoder(
@@ -139,8 +179,18 @@ def take(collected: Collected, topic: str, decode: Decode, data: bytes, publish:
         publish: when it was sent [ns].
         log: when it was recorded [ns].
     """
+    collected.taken += 1
+    window = int(collected.windows.of(np.array([log], np.uint64))[0])
+    _take(collected, topic, decode, data, window, collected.taken, (publish, log))
+    if collected.taken % CHECKED == 0:
+        collected.make_room()
+
+
+def _take(
+    collected: Collected, topic: str, decode: Decode, data: bytes, window: int, place: int, times: tuple[int, int]
+) -> None:
     try:
-        _keep(collected, topic, decode(data), publish, log)
+        _keep(collected, topic, decode(data), window, place, times)
     except ReadingError as error:
         collected.skipped[f"{topic} (messages: {error})"] += 1
     except Exception:  # generated from the file's own definition: anything may come out
@@ -149,12 +199,14 @@ def take(collected: Collected, topic: str, decode: Decode, data: bytes, publish:
         collected.skipped[f"{topic} (messages: {why})"] += 1
 
 
-def _keep(collected: Collected, topic: str, decoded: Decoded, publish: int, log: int) -> None:
+def _keep(collected: Collected, topic: str, decoded: Decoded, window: int, place: int, times: tuple[int, int]) -> None:
     for reading in decoded.readings:
-        key = (topic, reading.name)
-        series = collected.series.get(key) or Series(topic, reading.name, reading.unit)
-        series.add(reading, decoded.stamp, publish, log)
-        collected.series[key] = series
+        known = collected.series.get((topic, reading.name))
+        series = known or Series(topic, reading.name, reading.unit)
+        numbers = series.add(window, reading, place, (decoded.stamp or 0, *times))
+        collected.windows.count(window, 1, numbers)
+        if known is None:
+            collected.series[topic, reading.name] = series
 
 
 def nothing_found(collected: Collected, mapping: SignalMap | None = None) -> str:

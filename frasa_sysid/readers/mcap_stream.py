@@ -14,20 +14,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
+import numpy.typing as npt
 from mcap.opcode import Opcode
-from mcap.records import (
-    Channel,
-    DataEnd,
-    Footer,
-    Message,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-)
+from mcap.records import Channel, DataEnd, Footer, Metadata, MetadataIndex, Schema, Statistics
 
 from frasa_sysid.errors import LogError
-from frasa_sysid.readers.mcap_chunks import HEAD, PARSE_ERRORS, Frame, chunk_records, parse, stream_of
+from frasa_sysid.readers.mcap_chunks import HEAD, PARSE_ERRORS, Frame, Messages, chunk_records, parse, stream_of
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_LIMIT = 2**30  # bytes; a bench log's largest record is a few MB
@@ -56,15 +49,35 @@ class StreamReport:
     summary_damaged: bool = False
 
 
-def read_messages(path: Path, report: StreamReport) -> Iterator[tuple[Channel, Schema | None, Message]]:
-    """The messages of a file in the order they were written.
+@dataclass(frozen=True)
+class Batch:
+    """n messages of one channel in the order they were written.
+
+    Attributes:
+        channel: theirs.
+        schema: of the channel; None when it has none.
+        data: bytes that they stand in.
+        starts, sizes: where each begins in `data` and its bytes, shape (n,).
+        log, publish: when each was recorded and sent [ns], shape (n,).
+        places: how many messages of the file came before each, shape (n,).
+    """
+
+    channel: Channel
+    schema: Schema | None
+    data: bytes
+    starts: npt.NDArray[np.int64]
+    sizes: npt.NDArray[np.int64]
+    log: npt.NDArray[np.uint64]
+    publish: npt.NDArray[np.uint64]
+    places: npt.NDArray[np.int64]
+
+
+def read_batches(path: Path, report: StreamReport) -> Iterator[Batch]:
+    """The messages of a file, those of one channel that stand in one chunk together.
 
     Args:
         path: the file.
         report: filled on the way; complete when the iteration is.
-
-    Yields:
-        Channel, its schema (None when it has none) and the message.
 
     Raises:
         LogError: no MCAP file, damaged, or a compression that is not known.
@@ -80,15 +93,35 @@ def read_messages(path: Path, report: StreamReport) -> Iterator[tuple[Channel, S
                 schemas[record.id] = record
             elif isinstance(record, Channel):
                 channels[record.id] = record
-            elif record.channel_id not in channels:
-                report.strays += 1
             else:
-                report.messages += 1
-                channel = channels[record.channel_id]
-                yield channel, schemas.get(channel.schema_id), record
+                yield from _batches(record, channels, schemas, report)
 
 
-def _records(path: Path, file: BinaryIO, size: int, report: StreamReport) -> Iterator[Schema | Channel | Message]:
+def _batches(
+    found: Messages, channels: dict[int, Channel], schemas: dict[int, Schema], report: StreamReport
+) -> Iterator[Batch]:
+    numbers = found.heads["channel"]
+    first = report.messages + report.strays
+    for number in np.unique(numbers).tolist():
+        rows = np.flatnonzero(numbers == number)
+        if number not in channels:
+            report.strays += rows.size
+            continue
+        report.messages += rows.size
+        channel, heads = channels[number], found.heads[rows]
+        yield Batch(
+            channel,
+            schemas.get(channel.schema_id),
+            found.data,
+            found.starts[rows],
+            found.sizes[rows],
+            heads["log"].astype(np.uint64),
+            heads["publish"].astype(np.uint64),
+            first + rows,
+        )
+
+
+def _records(path: Path, file: BinaryIO, size: int, report: StreamReport) -> Iterator[Schema | Channel | Messages]:
     crc = zlib.crc32(MAGIC)
     for frame in _frames(path, file, size, report):
         try:
