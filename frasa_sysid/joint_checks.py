@@ -25,6 +25,7 @@ MOVES = 0.02  # [rad], standard deviation, from which on a joint moves
 LATEST = 0.4  # [s] that a joint may be behind its goal
 SPEED_SLOPE = (0.7, 1.4)  # of a velocity over the derivative of the position
 SPEED_FOLLOWS = 0.5
+FEWEST = 16  # readings that a joint is judged by; against its goal, those under power count
 STEADY = np.radians(3.0)  # of a held trunk's tilt: beyond it zeros are off by as much as they are asked to be known
 DEGREES = 180 / np.pi
 TURNS_PER_MINUTE = 60 / (2 * np.pi)
@@ -128,10 +129,13 @@ def _held(recording: Recording) -> list[Check]:
 
 def _against_goal(recording: Recording, pair: Pair) -> list[Check]:
     joint = pair.joint or "the joint"
-    goal, position = pair.against, pair.of
-    _shift, r, slope, offset = _best_fit(position.signal.t, position.y, goal.signal.t, goal.y)
-    told = f"it was told {_degrees(goal.y)} and went {_degrees(position.y)}"
-    if r < -FOLLOWS and min(goal.y.std(), position.y.std()) > MOVES:
+    goal, on = pair.against, _powered(recording, pair)
+    t, y = pair.of.signal.t[on], pair.of.y[on]
+    if t.size < FEWEST:
+        return []
+    _shift, r, slope, offset = _best_fit(t, y, goal.signal.t, goal.y)
+    told = f"it was told {_degrees(goal.y)} and went {_degrees(y)}"
+    if r < -FOLLOWS and min(goal.y.std(), y.std()) > MOVES:
         text = f"sign of {joint} looks wrong: {told} deg (correlation {r:.2f}): turn the sign of one of them"
         return [Check(recording.name, "wrong_sign", pair.joint, "refuse", text)]
     found = []
@@ -151,6 +155,16 @@ def _against_goal(recording: Recording, pair: Pair) -> list[Check]:
     return found
 
 
+def _powered(recording: Recording, pair: Pair) -> "np.ndarray[tuple[int], np.dtype[np.bool_]]":
+    """Which positions were read while the joint's torque was on: one that falls freely follows no goal."""
+    t = pair.of.signal.t
+    enable = recording.signals.get("torque_enable")
+    if enable is None or (enable.columns and pair.joint not in enable.columns):
+        return np.ones(t.size, dtype=bool)
+    flag = enable.y[:, enable.columns.index(pair.joint)] if enable.columns else enable.y
+    return np.asarray(flag[np.maximum(np.searchsorted(enable.t, t, side="right") - 1, 0)] > 0.5)
+
+
 def _best_fit(t: FloatArray, y: FloatArray, goal_t: FloatArray, goal: FloatArray) -> tuple[float, float, float, float]:
     """Shift [s], correlation and slope where goal and measurement go together best, and mean offset [rad]."""
     best = (0.0, 0.0, 0.0)
@@ -167,7 +181,7 @@ def _best_fit(t: FloatArray, y: FloatArray, goal_t: FloatArray, goal: FloatArray
 def _against_slope(recording: Recording, pair: Pair) -> list[Check]:
     position, velocity = pair.against, pair.of
     # Two joints that lie still, or a position with few samples, say nothing about a velocity.
-    if position.signal.t.size < 16 or position.y.std() < MOVES:
+    if position.signal.t.size < FEWEST or position.y.std() < MOVES:
         return []
     best_r, best_slope = 0.0, 0.0
     t, q = position.signal.t, position.y

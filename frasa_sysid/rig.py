@@ -109,7 +109,7 @@ def bench_run(recording: Recording, servo: Servo, timestep: float) -> BenchRun:
     if t.size < 3:
         raise LogError(f"{recording.name}: {t.size} position samples; expected at least 3")
     steps = int(np.ceil(t[-1] / timestep)) + 1
-    inertia, gravity_torque = _load(recording)
+    inertia, gravity_torque = load_of(recording)
     switches, powered_first = _switches(recording, start)
     absolute = rig.control != "position"
     # A firmware that makes up for the supply is as good as one on the stated supply, which never moves.
@@ -174,8 +174,12 @@ def _check_single(recording: Recording, *signals: Signal) -> None:
             )
 
 
-def _load(recording: Recording) -> tuple[float, float]:
-    """Inertia about the axis [kg m^2] and gravity torque at the horizontal [N m]."""
+def load_of(recording: Recording) -> tuple[float, float]:
+    """Inertia about the axis [kg m^2] and gravity torque at the horizontal [N m].
+
+    Raises:
+        LogError: nobody says what hangs on the arm.
+    """
     rig = recording.rig
     if rig.inertia is not None and rig.gravity_torque is not None:
         return max(rig.inertia, _NO_LOAD_INERTIA), rig.gravity_torque

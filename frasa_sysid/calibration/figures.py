@@ -66,6 +66,20 @@ def has_matplotlib() -> bool:
     return True
 
 
+def wear_look(dpi: int = 80) -> None:
+    """All figures from here on look like those of the pages: for notebooks, which draw where nobody can wrap them.
+
+    Args:
+        dpi: of what a notebook stores; a page's width of 11 inches is 880 pixels at 80.
+
+    Raises:
+        ModuleNotFoundError: matplotlib is not installed.
+    """
+    import matplotlib
+
+    matplotlib.rcParams.update({**_LOOK, "figure.dpi": dpi})
+
+
 @contextmanager
 def look() -> Iterator[None]:
     """What is made and drawn inside looks like all figures of frasa, whatever the user's own settings are.

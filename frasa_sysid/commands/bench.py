@@ -2,82 +2,20 @@
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
-from frasa_sysid.bench_session import BenchSession
+from frasa_sysid.bench import BENCH_MODEL, NOMINAL_MODEL, Bench, bench_of
 from frasa_sysid.commands.faults import show_faults
 from frasa_sysid.errors import LogError, UsageError
-from frasa_sysid.problem import servo_name, split, stated_servo
 from frasa_sysid.readers import read_log
-from frasa_sysid.recording import Recording, Signal
-from frasa_sysid.rig import BenchRun, runs_of, segments
-from frasa_sysid.servo import Servo, find_table, is_table
+from frasa_sysid.recording import Recording
 
-NOMINAL_MODEL = Path("robot_model/nominal.xml")
-BENCH_MODEL = Path("robot_model/bench_pendulum.xml")
 SERVO_HELP = "servo type where the logs do not say, or a table of your own (.toml): see frasa-sysid servos"
 _FACTS = {"mass": "kg", "length": "m", "arm_mass": "kg", "firmware_gain": "P", "supply_voltage": "V"}
-
-
-@dataclass(frozen=True)
-class Bench:
-    """Logs of one servo, ready to be simulated.
-
-    Attributes:
-        servo: the servo, with supply and gain at which kp is stated.
-        nominal: value of each field before any fit.
-        train, held_out: recordings.
-    """
-
-    servo: Servo
-    nominal: dict[str, float]
-    train: list[Recording]
-    held_out: list[Recording]
-
-    @property
-    def inputs(self) -> dict[str, str]:
-        """sha256 by source file."""
-        return inputs_of([*self.train, *self.held_out])
-
-    @property
-    def origin(self) -> str:
-        """`real`, `simulated` or `mixed`."""
-        return origin_of([*self.train, *self.held_out])
-
-    def session(self, model: Path, threads: int | None, timestep: float | None = None) -> BenchSession:
-        """The equations and threads of this servo's bench; use as a context manager."""
-        return BenchSession(model, self.servo, threads, timestep)
-
-    def runs(
-        self, session: BenchSession, first: float | None = None, shooting: float | None = None
-    ) -> tuple[list[BenchRun], list[BenchRun]]:
-        """Training and held-out runs on the session's grid.
-
-        Args:
-            session: its step is the grid.
-            first: seconds of each recording to use; all by default.
-            shooting: length of the pieces that each run is cut into [s]; not cut by default.
-        """
-        step = session.options.timestep
-        prepared = []
-        for recordings in (self.train, self.held_out):
-            runs = runs_of([_shortened(one, first) for one in recordings], self.servo, step)
-            prepared.append([piece for run in runs for piece in (segments(run, shooting, step) if shooting else [run])])
-        return prepared[0], prepared[1]
-
-
-def _shortened(recording: Recording, first: float | None) -> Recording:
-    """The first seconds of a recording."""
-    if first is None:
-        return recording
-    position = recording.signal("position")
-    kept = position.t <= position.t[0] + first
-    short = Signal(position.name, position.unit, position.t[kept], position.y[kept], position.columns)
-    return replace(recording, signals={**recording.signals, "position": short})
 
 
 def people_console() -> Console:
@@ -118,18 +56,6 @@ def read_logs(args: argparse.Namespace) -> list[Recording]:
     return recordings
 
 
-def inputs_of(recordings: Sequence[Recording]) -> dict[str, str]:
-    """sha256 by source file, as it was given; of an absolute path the name, for a fit is no map of a machine."""
-    sources = {one.source: one.sha256 for one in recordings}
-    return {Path(name).name if Path(name).is_absolute() else name: digest for name, digest in sources.items()}
-
-
-def origin_of(recordings: Sequence[Recording]) -> str:
-    """`real`, `simulated` or `mixed`."""
-    origins = {one.origin for one in recordings}
-    return origins.pop() if len(origins) == 1 else "mixed"
-
-
 def load_bench(
     args: argparse.Namespace, hold_out: str = "none", recordings: Sequence[Recording] | None = None
 ) -> Bench:
@@ -144,12 +70,7 @@ def load_bench(
         LogError: an unreadable log, one that lacks a signal or fact, or two of one name.
         UsageError: no log in a folder, no threads, or a bad hold-out rule.
     """
-    recordings = read_logs(args) if recordings is None else recordings
-    table = find_table(args.servo).servo if args.servo and is_table(args.servo) else None
-    name = servo_name(recordings, args.servo if table is None else table.name)
-    servo, nominal = stated_servo(name, args.model, table)
-    train, held_out = split(recordings, hold_out)
-    return Bench(servo, nominal, train, held_out)
+    return bench_of(read_logs(args) if recordings is None else recordings, args.model, hold_out, args.servo)
 
 
 def bench_model(args: argparse.Namespace) -> Path:

@@ -9,8 +9,9 @@ from typing import Any
 from rich.table import Table
 
 from frasa_sysid import stored_fit
+from frasa_sysid.bench import inputs_of
 from frasa_sysid.calibration import load_model, say, servo_classes, tell_report
-from frasa_sysid.commands.bench import inputs_of, people_console
+from frasa_sysid.commands.bench import people_console
 from frasa_sysid.errors import LogError, UsageError
 from frasa_sysid.fit_json import ROBOT, read_json
 from frasa_sysid.overlay import LAYOUT, robot_overlay

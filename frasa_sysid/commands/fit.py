@@ -10,13 +10,14 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from frasa_sysid import published_as
+from frasa_sysid.bench import Bench
 from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.bootstrap import full_bootstrap
 from frasa_sysid.calibration import add_json_flag, load_model, say, servo_classes
 from frasa_sysid.calibration.friction import LAWS
 from frasa_sysid.choice import Choice, choose
 from frasa_sysid.claims import settle
-from frasa_sysid.commands.bench import Bench, add_bench_arguments, bench_model, load_bench, people_console, read_logs
+from frasa_sysid.commands.bench import add_bench_arguments, bench_model, load_bench, people_console, read_logs
 from frasa_sysid.commands.fit_robot import add_robot_arguments, fit_robot_logs
 from frasa_sysid.commands.publish import add_as_flag, load_fits, publish_files
 from frasa_sysid.effects import EFFECTS
@@ -25,7 +26,6 @@ from frasa_sysid.fit import RESTARTS, FitResult, fit
 from frasa_sysid.fit_json import read_json
 from frasa_sysid.fit_record import Extras, log_facts, save, to_json
 from frasa_sysid.identifiability import bench_findings, next_logs
-from frasa_sysid.problem import state_problem
 from frasa_sysid.publish import find_fits
 from frasa_sysid.readout import LONGEST_AGE, disagreement, separate
 from frasa_sysid.replay import replay
@@ -163,26 +163,15 @@ def _fit_with_progress(
     out: Path,
     effects: tuple[str, ...] | None,
 ) -> tuple[FitResult, Extras]:
-    train, held_out = bench.runs(session, args.first, args.shooting)
     first_law = LAWS[0] if args.friction == "auto" else args.friction
-    problem = state_problem(
-        bench.servo,
-        bench.nominal,
-        train,
-        held_out,
-        session.delay_range,
-        args.hold_out,
-        args.seed,
-        first_law,
-        effects or (),
-    )
+    problem = bench.problem(session, first_law, effects or (), args.seed, args.first, args.shooting)
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[best]}"), TimeElapsedColumn())
     with Progress(*columns, console=people_console()) as progress:
         task = progress.add_task(bench.servo.name, total=None, best="")
 
         def tell(stage: str, count: int, best: float) -> None:
             text = f"{count} evaluations, best {best * 1e3:.2f} mrad"
-            progress.update(task, description=f"{bench.servo.name}: {len(train)} runs, {stage}", best=text)
+            progress.update(task, description=f"{bench.servo.name}: {len(problem.train)} runs, {stage}", best=text)
 
         choice = None
         if args.friction == "auto" or effects is None:

@@ -14,8 +14,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from frasa_sysid import stored_fit, stored_robot_fit
+from frasa_sysid.bench import inputs_of, origin_of
 from frasa_sysid.calibration import load_model, number, read, say, servo_classes, write_atomic
-from frasa_sysid.commands.bench import inputs_of, origin_of, people_console
+from frasa_sysid.commands.bench import people_console
 from frasa_sysid.commands.publish import publish_files
 from frasa_sysid.errors import InterruptedRunError, LogError, UsageError
 from frasa_sysid.fit import versions

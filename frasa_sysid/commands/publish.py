@@ -8,8 +8,8 @@ from typing import Any
 import mujoco
 
 from frasa_sysid import stored_fit, stored_robot_fit
+from frasa_sysid.bench import NOMINAL_MODEL
 from frasa_sysid.calibration import add_json_flag, say
-from frasa_sysid.commands.bench import NOMINAL_MODEL
 from frasa_sysid.errors import InputError
 from frasa_sysid.fit_json import ROBOT, read_json
 from frasa_sysid.publish import publish, write

@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
+from frasa_sysid.bench import Bench
 from frasa_sysid.calibration.friction import LAWS
-from frasa_sysid.commands.bench import Bench
 from frasa_sysid.cost import Misfit
 from frasa_sysid.fit import ladder, misfits
 from frasa_sysid.problem import split, state_problem, stated_servo

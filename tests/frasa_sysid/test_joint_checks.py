@@ -1,7 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from frasa_sysid.joint_checks import checks
+from frasa_sysid.readers import read_log
 from frasa_sysid.readers.harold import read_harold
 from frasa_sysid.readers.kbot import read_kbot
 from frasa_sysid.readers.rostopic_csv import read_rostopic_csv
@@ -97,3 +100,25 @@ def test_real_robots(shared_dir):
     assert upkie == {("slow_rate", "", "warn"), ("no_goal", "", "warn")}
     spirit = codes(read_rostopic_csv(folder / "robots" / "spirit40_imu.csv.gz")[0])
     assert spirit == {("no_joints", "", "refuse")}
+
+
+def test_a_joint_without_torque_is_not_held_against_its_goal():
+    """An arm that was let go falls where it likes; what it does under power is judged as ever."""
+    goal = np.where(T < 5, Q, Q[500])
+    fallen = np.where(T < 5, Q, Q[500] + 1.2 * (1 - np.cos(9 * (T - 5))))
+    enable = Signal("torque_enable", "1", T, (T < 5).astype(float))
+    log = robot(position=[fallen, Q], goal=[goal, Q], velocity=None)
+    assert ("does_not_follow", "hip", "warn") in codes(log)
+    assert codes(replace(log, signals={**log.signals, "torque_enable": enable})) == set()
+    of_one = Signal("torque_enable", "1", T, np.stack([T < 5, T < 99], axis=1).astype(float), ("hip", "knee"))
+    assert codes(replace(log, signals={**log.signals, "torque_enable": of_one})) == set()
+    turned = robot(position=[np.where(T < 5, -Q, fallen), Q], goal=[goal, Q], velocity=None)
+    assert ("wrong_sign", "hip", "refuse") in codes(
+        replace(turned, signals={**turned.signals, "torque_enable": enable})
+    )
+
+
+def test_our_own_bench_log_has_nothing_to_say(robot_model_dir):
+    """The log of this repository, drops without torque included, raises no check."""
+    recordings = read_log(robot_model_dir.parent / "bench_logs" / "mx106.mcap")
+    assert [check for recording in recordings for check in checks(recording)] == []
