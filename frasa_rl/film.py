@@ -1,19 +1,16 @@
 """One trial of the protocol as pictures."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
 from frasa_rl.controllers import Controller
 from frasa_rl.protocol import LIMIT_S, Conditions, Side
-from frasa_rl.protocol_push import Cell, PushRun
-from frasa_rl.protocol_standup import judge_standup, start_standup
-from frasa_rl.render import Camera, Frame
-from frasa_rl.robot import Floats
+from frasa_rl.protocol_push import Cell
+from frasa_rl.render import Camera, Frame, check_drawing
 from frasa_rl.simulation import set_state
-from frasa_rl.trials import Trials
+from frasa_rl.watch import Watched, watch_push, watch_standup
 
 _PUSH_VIEW = 1.9  # distance from the trunk that shows the pendulum come [m]
 
@@ -61,21 +58,9 @@ def film_standup(
     Raises:
         RenderError: this machine cannot draw.
     """
-    trials, kinds = start_standup(conditions, 1, [side], textures=True)
-    try:
-        shots = shots or Shots()
-        camera = Camera(trials.batch.sim.models[0], conditions.task.names.trunk, shots.width, shots.height)
-        controller.start(1, trials.batch.period_s)
-        states = _record(
-            trials,
-            lambda: trials.decide(controller),
-            lambda: judge_standup(trials, kinds)[0].time_s,
-            seconds,
-            shots.more_s,
-        )
-        return _film(trials, states, judge_standup(trials, kinds)[0].time_s, camera, shots.count)
-    finally:
-        trials.batch.close()
+    check_drawing()
+    shots = shots or Shots()
+    return film_of(watch_standup(controller, conditions, side, seconds, shots.more_s, textures=True), shots)
 
 
 def film_push(
@@ -86,45 +71,37 @@ def film_push(
     Raises:
         RenderError: this machine cannot draw.
     """
-    run = PushRun(conditions, [cell], [0], textures=True)
-    try:
-        shots = shots or Shots()
-        model, trunk = run.trials.batch.sim.models[0], conditions.task.names.trunk
-        camera = Camera(model, trunk, shots.width, shots.height, distance=_PUSH_VIEW, azimuth=90.0)
-        run.stand(controller)
-        run.release()
-        states = _record(run.trials, lambda: run.step(controller), lambda: run.judge()[0].time_s, seconds, shots.more_s)
-        film = _film(run.trials, states, run.judge()[0].time_s, camera, shots.count)
-        return replace(film, stood=bool(run.stood[0]))
-    finally:
-        run.trials.batch.close()
+    check_drawing()
+    shots = shots or Shots()
+    watched = watch_push(controller, conditions, cell, seconds, shots.more_s, textures=True)
+    return film_of(watched, shots, distance=_PUSH_VIEW, azimuth=90.0)
 
 
-def _record(
-    trials: Trials, step: Callable[[], None], decided: Callable[[], float | None], seconds: float, more_s: float
-) -> list[Floats]:
-    """States of the only robot, one a control period."""
-    period = trials.batch.task.control_period_s
-    states = [trials.batch.sim.state[0].copy()]
-    more = round(more_s / period)
-    while trials.now_s < seconds - 1e-9 and more > 0:
-        step()
-        if trials.every(period):
-            states.append(trials.batch.sim.state[0].copy())
-            more -= decided() is not None
-    return states
+def film_of(watched: Watched, shots: Shots, distance: float = 1.1, azimuth: float = 120.0) -> Film:
+    """Draw a trial, or some moments of it.
 
+    Args:
+        watched: with textures, or it looks plain.
+        shots: which pictures, and how large.
+        distance: of the camera from the trunk [m].
+        azimuth: from which side [deg], see `Camera`.
 
-def _film(trials: Trials, states: list[Floats], time_s: float | None, camera: Camera, count: int | None = None) -> Film:
-    """Draw the states, or so many of them."""
-    model = trials.batch.sim.models[0]
-    data = mujoco.MjData(model)
-    frames, period = [], trials.batch.task.control_period_s
-    shown = np.linspace(0, len(states) - 1, min(count or len(states), len(states))).round().astype(int)
+    Raises:
+        RenderError: this machine cannot draw.
+    """
+    camera = Camera(watched.model, watched.trunk, shots.width, shots.height, distance, azimuth)
+    data, frames = mujoco.MjData(watched.model), []
+    shown = evenly(len(watched.t), shots.count)
     try:
         for index in shown:
-            set_state(model, data, states[index])
+            set_state(watched.model, data, watched.states[index])
             frames.append(camera.picture(data))
     finally:
         camera.close()
-    return Film(frames, 1.0 / period, time_s, [float(index * period) for index in shown])
+    rate = 1.0 / float(watched.t[1] - watched.t[0]) if len(watched.t) > 1 else 1.0
+    return Film(frames, rate, watched.time_s, [float(watched.t[index]) for index in shown], watched.stood)
+
+
+def evenly(samples: int, count: int | None) -> list[int]:
+    """So many of all samples, evenly spaced, the first and the last among them; None for all."""
+    return [int(one) for one in np.linspace(0, samples - 1, min(count or samples, samples)).round()]

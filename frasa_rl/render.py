@@ -44,13 +44,7 @@ class Camera:
         # The model's off-screen buffer may be smaller than the picture.
         model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
         model.vis.global_.offheight = max(model.vis.global_.offheight, height)
-        try:
-            self._renderer = mujoco.Renderer(model, height, width)
-        except Exception as error:  # the GL back ends raise many kinds, from three libraries
-            raise RenderError(
-                f"cannot draw without a window ({type(error).__name__}: {error}); "
-                "install libegl1 and set MUJOCO_GL=egl, or libosmesa6 and MUJOCO_GL=osmesa"
-            ) from None
+        self._renderer = _renderer(model, height, width)
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
             self._renderer.scene.flags[flag] = False  # most of the time of a software renderer
         self._view = mujoco.MjvCamera()
@@ -67,6 +61,25 @@ class Camera:
     def close(self) -> None:
         """Free the OpenGL context."""
         self._renderer.close()
+
+
+def check_drawing() -> None:
+    """Say early when nothing can be drawn: before a trial is simulated for its pictures.
+
+    Raises:
+        RenderError: no OpenGL without a window on this machine.
+    """
+    _renderer(mujoco.MjSpec().compile(), 8, 8).close()
+
+
+def _renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer:
+    try:
+        return mujoco.Renderer(model, height, width)
+    except Exception as error:  # the GL back ends raise many kinds, from three libraries
+        raise RenderError(
+            f"cannot draw without a window ({type(error).__name__}: {error}); "
+            "install libegl1 and set MUJOCO_GL=egl, or libosmesa6 and MUJOCO_GL=osmesa"
+        ) from None
 
 
 def check_format(path: Path) -> None:

@@ -1,6 +1,7 @@
 """Plots of the report pages: drawn by matplotlib, put into the page as pictures."""
 
 from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
@@ -54,7 +55,7 @@ def legend_above(figure: "Figure", axes: "Sequence[Axes]") -> None:
     figure.legend(found.values(), found.keys(), loc="outside upper left", ncols=6, frameon=False)
 
 
-def trace_figure(traces: Sequence[Trace], held: set[str], worst: str = "") -> "Figure":
+def trace_figure(traces: Sequence[Trace], held: AbstractSet[str] = frozenset(), worst: str = "") -> "Figure":
     """Simulated over measured, the residuals below each; torque-off time is shaded.
 
     Args:

@@ -1,6 +1,7 @@
 """Residuals of many runs as pictures: the error of every run, how large samples are off, and when in a run."""
 
 from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,11 +38,20 @@ def error_picture(errors: Mapping[str, Mapping[str, float]], runs: Sequence[Benc
         words += f" Shown are {len(shown)} of {len(order)} runs."
     if held:
         words += " Brown: held out."
-    picture = image(_error_figure(errors, shown, held), "mean error of every run, for each candidate")
+    picture = image(error_figure(errors, shown, held), "mean error of every run, for each candidate")
     return join([tag("p", tag("small", words)), picture])
 
 
-def _error_figure(errors: Mapping[str, Mapping[str, float]], runs: Sequence[BenchRun], held: set[str]) -> "Figure":
+def error_figure(
+    errors: Mapping[str, Mapping[str, float]], runs: Sequence[BenchRun], held: AbstractSet[str] = frozenset()
+) -> "Figure":
+    """The mean error of runs, a row for each, a dot for each candidate.
+
+    Args:
+        errors: by candidate, then by run [rad].
+        runs: from the top down.
+        held: names of those held out.
+    """
     from matplotlib.figure import Figure
     from matplotlib.ticker import StrMethodFormatter
 
@@ -71,30 +81,31 @@ def _label(run: BenchRun) -> str:
 
 def residual_picture(traces: Sequence[Trace]) -> Html:
     """How large the residuals of all samples are, and how they grow along a run."""
+    off = _residuals(traces)
+    if not any(np.isfinite(one).any() for two in off.values() for one in two):
+        return Html()
+    return image(residual_figure(traces), "residuals of all samples")
+
+
+def _residuals(traces: Sequence[Trace]) -> dict[str, list[FloatArray]]:
+    """Absolute residuals [mrad] by candidate, one array for each run."""
     names = list(dict.fromkeys(name for trace in traces for name in trace.readings))
     runs = [trace.run for trace in traces]
-    off = {
+    return {
         name: [np.abs(one) * 1e3 for one in residuals(runs, [trace.readings[name] for trace in traces])]
         for name in names
     }
-    if not any(np.isfinite(one).any() for two in off.values() for one in two):
-        return Html()
-    return image(_residual_figure(off, [run.t for run in runs]), "residuals of all samples")
 
 
-def _residual_figure(off: Mapping[str, Sequence[FloatArray]], times: Sequence[FloatArray]) -> "Figure":
-    """Both panels.
-
-    Args:
-        off: absolute residuals [mrad] by candidate, one array for each run.
-        times: of the samples [s], one array for each run.
-    """
+def residual_figure(traces: Sequence[Trace]) -> "Figure":
+    """How large the residuals of all samples of runs are, and how they grow along a run; for each candidate."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import StrMethodFormatter
 
     figure = Figure(figsize=(11, 3.2), layout="constrained")
     left, right = figure.subplots(1, 2)
-    t = np.concatenate(list(times))
+    off = _residuals(traces)
+    t = np.concatenate([trace.run.t for trace in traces])
     edges = np.linspace(0.0, float(t.max()), _BINS + 1)
     places = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, _BINS - 1)
     for name, colour in colours_of(list(off)).items():

@@ -1,6 +1,7 @@
 """Which joints and axes of a robot a page shows, as pictures."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from frasa_sysid.calibration.figures import image
 from frasa_sysid.calibration.page import Html, join, tag
@@ -40,13 +41,7 @@ def joint_traces(found: Found, held_from: Mapping[str, float]) -> Html:
 
 def trunk_traces(found: Found, held_from: Mapping[str, float]) -> Html:
     """Tilt and rates of the trunk on the ground, simulated over measured; nothing where it was held."""
-    panels = []
-    for log in logs_of(found):
-        for (channel, axis), (label, unit, small, scale) in _TRUNK.items():
-            lines = {name: one for name, two in found.items() if (one := series(two, log, channel, axis)) is not None}
-            if lines:
-                title = f"{log}: {label}"
-                panels.append(Panel(title, label, unit, small, scale, lines, held_from.get(log)))
+    panels = [panel for log in logs_of(found) for panel in trunk_panels(found, log, held_from.get(log))]
     if not panels:
         return Html()
     return image(panel_figure(panels[:_PANELS]), "simulated over measured tilt and rates of the trunk")
@@ -74,11 +69,34 @@ def _joints_of(found: Found, log: str, count: int, held_from: float | None) -> l
     worst = order[: (count + 1) // 2]
     middle = max(len(order) // 2 - (count // 2) // 2, len(worst))
     picked = {**dict.fromkeys(worst, "worst"), **dict.fromkeys(order[middle : middle + count // 2], "typical")}
+    panels = joint_panels(found, log, list(picked), held_from)
+    return [replace(one, title=f"{log}: {joint}, {kind}: {_mean_error(one.series):.1f} mrad")
+            for one, (joint, kind) in zip(panels, picked.items(), strict=True)]  # fmt: skip
+
+
+def joint_panels(found: Found, log: str, joints: Sequence[str], held_from: float | None = None) -> list[Panel]:
+    """Some joints of a log, simulated over measured, for `report_robot_figures.panel_figure`.
+
+    Args:
+        found: by robot.
+        log: its name.
+        joints: that were compared.
+        held_from: when the part begins that was held out [s].
+    """
     panels = []
-    for joint, kind in picked.items():
+    for joint in joints:
         lines = {name: one for name, two in found.items() if (one := series(two, log, "position", joint)) is not None}
-        title = f"{log}: {joint}, {kind}: {_mean_error(lines):.1f} mrad"
-        panels.append(Panel(title, "angle", "rad", "mrad", 1e3, lines, held_from))
+        panels.append(Panel(f"{joint}: {_mean_error(lines):.1f} mrad", "angle", "rad", "mrad", 1e3, lines, held_from))
+    return panels
+
+
+def trunk_panels(found: Found, log: str, held_from: float | None = None) -> list[Panel]:
+    """Tilt and rates of the trunk in a log, simulated over measured; none where the trunk was held."""
+    panels = []
+    for (channel, axis), (label, unit, small, scale) in _TRUNK.items():
+        lines = {name: one for name, two in found.items() if (one := series(two, log, channel, axis)) is not None}
+        if lines:
+            panels.append(Panel(f"{log}: {label}", label, unit, small, scale, lines, held_from))
     return panels
 
 
