@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -158,7 +159,7 @@ def _record(
         if trials.every(period):
             rows.append(_row(trials, np.asarray(heard.last[0], dtype=np.float64)))
             more -= decided() is not None
-    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    columns: dict[str, Any] = {name: np.array([row[name] for row in rows]) for name in _ROWS}
     return Watched(
         **columns,
         names=tuple(one.name for one in batch.task.joints),

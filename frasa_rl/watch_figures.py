@@ -38,7 +38,7 @@ def strip_figure(
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 11 / count * 1.18 + 0.35), layout="constrained")
-    axes = np.ravel(figure.subplots(1, count))
+    axes = list(np.ravel(figure.subplots(1, count)))
     moments = evenly(len(watched.t), count)
     if sticks or not _draw_pictures(axes, watched, count, push):
         _draw_sticks(axes, watched, moments)
