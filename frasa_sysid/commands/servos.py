@@ -10,8 +10,8 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
-from frasa_sysid.calibration import add_json_flag, say, write_atomic
 from frasa_sysid.bench import BENCH_MODEL, NOMINAL_MODEL
+from frasa_sysid.calibration import add_json_flag, say, write_atomic
 from frasa_sysid.commands.bench import people_console
 from frasa_sysid.errors import UsageError
 from frasa_sysid.servo import TABLES, find_table
