@@ -1,6 +1,8 @@
 """`make demo`: the whole chain through its own command lines, timed, with a page at the end.
 
-Each step is the command a user would type; it is printed before it runs.
+Each step is the command a user would type; it is printed before it runs. The fits and the calibrated model go into the
+demo's own folder, a copy of the robot's files: another processor's rounding moves the last digits of a fit, which makes
+it another calibration, and the policy in the box belongs to the one in `robot_model/`.
 """
 
 import argparse
@@ -17,7 +19,8 @@ from frasa_rl.demo_page import standing, write_page
 from frasa_sysid.calibration import FrasaError, run_command, say
 
 SERVOS = ("mx106", "mx64")
-MODEL = Path("robot_model/calibrated.xml")
+ROBOT = Path("robot_model")
+NOMINAL, CALIBRATED = "nominal.xml", "calibrated.xml"
 
 
 class DemoError(FrasaError):
@@ -58,6 +61,17 @@ class Demo:
         say(f"    {seconds:.0f} s")
 
 
+def copy_of_robot(to: Path) -> Path:
+    """The robot's files without fits and without what was published from them, in a folder of their own."""
+    shutil.rmtree(to, ignore_errors=True)
+    to.mkdir(parents=True)
+    generated = {CALIBRATED, "randomization.yaml"}
+    for file in sorted([*ROBOT.glob("*.xml"), *ROBOT.glob("*.yaml")]):
+        if file.name not in generated:
+            shutil.copyfile(file, to / file.name)
+    return to
+
+
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Run the chain and write the page.
 
@@ -68,24 +82,25 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     started = time.monotonic()
     training = args.out / "run"
     shutil.rmtree(training, ignore_errors=True)
-    args.out.mkdir(parents=True, exist_ok=True)
+    robot = copy_of_robot(args.out / ROBOT.name)
+    model = robot / CALIBRATED
     for servo in SERVOS:
         log = f"bench_logs/{servo}.mcap"
-        flags = ("--friction", "auto", "--publish")
+        flags = ("--model", str(robot / NOMINAL), "--friction", "auto", "--publish")
         demo.run(f"Choose the {servo}'s friction law, fit and publish", servo, "frasa-sysid", "fit", log, *flags)
     budget = ("--minutes", f"{args.minutes:g}")
     demo.run(
         f"Train for {args.minutes:g} minutes", "train", "frasa-rl", "train",
-        "--model", str(MODEL), *budget, "--out", str(training),
+        "--model", str(model), *budget, "--out", str(training),
     )  # fmt: skip
     trials = ("--trials", str(args.trials), "--push-trials", str(args.push_trials))
     demo.run("Evaluate", "evaluate", "frasa-rl", "evaluate", str(training), *trials,
              "--report", str(args.out / "evaluation.html"))  # fmt: skip
     demo.run("Evaluate doing nothing", "nothing", "frasa-rl", "evaluate", "nothing",
-             "--model", str(MODEL), *trials, "--no-report")  # fmt: skip
+             "--model", str(model), *trials, "--no-report")  # fmt: skip
     film = args.out / "standup.webp"
     demo.run("Film a trial", "play", "frasa-rl", "play", str(training), "--video", str(film))
-    page = write_page(args.out, demo.steps, demo.results, training, film, MODEL)
+    page = write_page(args.out, demo.steps, demo.results, training, film, model)
     seconds = time.monotonic() - started
     say("\nHow long each part took:")
     for title, _, part in demo.steps:

@@ -1,13 +1,14 @@
 """What makes the robot stand sooner: variants of the recipe, several seeds each, wall clock and work side by side.
 
     python tests/benchmarks/bench_recipe.py train OUT [--only NAME ...] [--seeds 5] [--minutes 30] [--steps N]
-    python tests/benchmarks/bench_recipe.py report OUT [--write tests/benchmarks/results]
+    python tests/benchmarks/bench_recipe.py report OUT [--earlier recipe.csv] [--write tests/benchmarks/results]
 
 `train` runs one `frasa-rl sweep` a variant into OUT/NAME, each agent until 90 % of the held-out falls end standing in
 two evaluations or its minutes or steps are over; called again it goes on where it was. `report` reads every run folder
-below OUT/NAME, whoever made it, prints the table, and with `--write` leaves recipe.csv (all evaluations of all runs)
-and recipe.png. Steps and updates to a success do not depend on the machine; minutes are those of the run, and only
-comparable between runs that had the machine to themselves, or shared it in the same way: see how they were made.
+below OUT/NAME, whoever made it, and of an earlier recipe.csv the runs that OUT does not have, prints the table, and
+with `--write` leaves recipe.csv (all evaluations of all runs) and recipe.png. Steps and updates to a success do not
+depend on the machine; minutes are those of the run, and only comparable between runs that had the machine to
+themselves, or shared it in the same way: see how they were made.
 """
 
 import argparse
@@ -21,7 +22,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from frasa_rl.sweep_table import curve, spread
+from frasa_rl.sweep_table import spread
 from frasa_rl.tables import EVALUATIONS, PROGRESS
 
 BASE = {
@@ -60,13 +61,11 @@ SHARES = (0.5, 0.9)
 
 @dataclass(frozen=True)
 class Run:
-    """A run folder: its evaluations as columns, its updates at each, and its settings."""
+    """A run: its evaluations as columns, and its updates at each."""
 
-    folder: Path
     seed: int
     columns: dict[str, np.ndarray]
     updates: np.ndarray
-    settings: dict[str, object]
 
     @property
     def success(self) -> np.ndarray:
@@ -88,39 +87,55 @@ def read(folder: Path) -> Run:
     went = np.array(PROGRESS.read(folder)).reshape(-1, len(PROGRESS.columns))
     columns = dict(zip(EVALUATIONS.columns, tried.T, strict=True))
     updates = np.interp(columns["steps"], went[:, 0], went[:, PROGRESS.columns.index("updates")])
-    return Run(folder, int(said["seed"]), columns, updates, said)
+    return Run(int(said["seed"]), columns, updates)
 
 
-def variants(out: Path) -> dict[str, list[Run]]:
-    """All runs below a folder, by the name of the folder they are in; the base first."""
+def earlier(path: Path) -> dict[str, list[Run]]:
+    """The runs of a recipe.csv, by variant."""
+    runs: dict[tuple[str, int], list[dict[str, str]]] = {}
+    with path.open(newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            runs.setdefault((row["variant"], int(row["seed"])), []).append(row)
+    found: dict[str, list[Run]] = {}
+    for (name, seed), rows in runs.items():
+        columns = {one: np.array([float(row[one]) for row in rows]) for one in EVALUATIONS.columns if one in rows[0]}
+        found.setdefault(name, []).append(Run(seed, columns, np.array([float(row["updates"]) for row in rows])))
+    return found
+
+
+def variants(out: Path, before: Path | None = None) -> dict[str, list[Run]]:
+    """All runs below a folder by folder name, and what only an earlier table has; the base first."""
     found: dict[str, list[Run]] = {}
     for said in sorted(out.glob("*/*/run.yaml")):
         if (said.parent / EVALUATIONS.file).is_file():
             found.setdefault(said.parent.parent.name, []).append(read(said.parent))
+    for name, runs in (earlier(before) if before else {}).items():
+        there = found.setdefault(name, [])
+        there += [run for run in runs if run.seed not in {one.seed for one in there}]
+        there.sort(key=lambda one: one.seed)
     return dict(sorted(found.items(), key=lambda one: (one[0] != "base", one[0])))
 
 
-def train(out: Path, names: Iterable[str], seeds: int, ends: list[str], jobs: int) -> None:
+def train(out: Path, names: Iterable[str], seeds: int, ends: list[str], jobs: int, evaluate_steps: int) -> None:
     """A sweep each, one after the other."""
     for name in names:
         there = (out / name / "sweep.json").is_file()
         sets = [part for item in {**BASE, **VARIANTS[name]}.items() for part in ("--set", "=".join(item))]
-        where = ["--resume", str(out / name)] if there else ["--out", str(out / name), *sets]
+        fresh = ["--out", str(out / name), *sets, "--evaluate-steps", str(evaluate_steps)]
+        where = ["--resume", str(out / name)] if there else fresh
         command = [sys.executable, "-m", "frasa_rl.cli", "sweep", "--seeds", str(seeds), "--jobs", str(jobs)]
         subprocess.run([*command, *where, *ends], check=True)
 
 
-def differs(run: Run, base: Run) -> str:
-    """In which settings a run differs from another."""
-    names = [name for name, one in run.settings.items() if name != "seed" and base.settings.get(name) != one]
-    return ", ".join(f"{name} {run.settings[name]}" for name in names) or "-"
+def differs(name: str) -> str:
+    """In which settings a variant differs from the base."""
+    return ", ".join(" ".join(one) for one in VARIANTS.get(name, {}).items()) or "-"
 
 
 def report(found: dict[str, list[Run]]) -> None:
     """Print the table: medians over seeds, of those that never got there infinite, and the spread of the steps."""
     print(f"{'':24} {'there':>7} {'steps [k] to 50, 90 %':>22} {'least..most':>13}", end=" ")
-    print(f"{'updates [k]':>16} {'minutes':>14}  differs from the first in")
-    base = next(iter(found.values()))[0]
+    print(f"{'updates [k]':>16} {'minutes':>14}  differs from the base in")
     for name, runs in found.items():
         firsts = np.array([[run.first(share) for share in SHARES] for run in runs])  # runs, shares, kinds
         steps, updates, minutes = np.median(firsts, axis=0).T / [[1e3], [1e3], [1.0]]
@@ -128,7 +143,7 @@ def report(found: dict[str, list[Run]]) -> None:
         there = f"{np.isfinite(reached).sum()} of {len(runs)}"
         print(f"{name:24} {there:>7} {steps[0]:11.0f} {steps[1]:10.0f}", end=" ")
         print(f"{f'{reached.min():.0f}..{reached.max():.0f}':>13} {updates[0]:8.0f} {updates[1]:7.0f}", end=" ")
-        print(f"{minutes[0]:7.1f} {minutes[1]:6.1f}  {differs(runs[0], base)}")
+        print(f"{minutes[0]:7.1f} {minutes[1]:6.1f}  {differs(name)}")
 
 
 def write(found: dict[str, list[Run]], out: Path) -> None:
@@ -152,7 +167,7 @@ def draw(found: dict[str, list[Run]], path: Path) -> None:
     axes = figure.subplots(len(found), 2, sharex="col", sharey=True, squeeze=False)
     for row, (name, runs) in zip(axes, found.items(), strict=True):
         for one, against, scale in zip(row, ("steps", "minutes"), (1e-3, 1.0), strict=True):
-            curves = [(x * scale, 100.0 * y) for x, y in (curve(run.folder, "success", against) for run in runs)]
+            curves = [(run.columns[against] * scale, 100.0 * run.success) for run in runs]
             end = max(x[-1] for x, _ in curves)
             for x, y in curves:
                 one.plot(x, y, color="tab:orange", lw=0.7, alpha=0.6)
@@ -176,14 +191,16 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--steps", type=int, help="transitions a run ends at (default: only the minutes count)")
+    parser.add_argument("--evaluate-steps", type=int, default=25_000, help="transitions between evaluations")
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--earlier", type=Path, help="a recipe.csv whose runs count where OUT has none")
     parser.add_argument("--write", type=Path, help="folder for recipe.csv and recipe.png")
     given = parser.parse_args()
     if given.what == "train":
         ends = ["--minutes", f"{given.minutes:g}", "--until-success", str(SHARES[-1])]
         ends += ["--steps", str(given.steps)] if given.steps else []
-        train(given.out, given.only, given.seeds, ends, given.jobs)
-    found = variants(given.out)
+        train(given.out, given.only, given.seeds, ends, given.jobs, given.evaluate_steps)
+    found = variants(given.out, given.earlier)
     if not found:
         sys.exit(f"{given.out}: no run folders with evaluations in folders below it")
     report(found)
