@@ -1,13 +1,14 @@
 # Everything on a machine with only Python 3.11+, pip and make:
 #   make demo    bench logs -> calibrated model -> trained agent -> demo/index.html
-#   make test    lint, types, import contracts, tests
+#   make test    lint, types, import contracts, guide, tests
+#   make docs    the guide: build/guide/index.html
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DEMO_MINUTES ?= 4
 
-.PHONY: demo test check bench bench-logs setup clean
+.PHONY: demo test check docs bench bench-logs setup clean
 
 setup: $(READY)
 
@@ -15,7 +16,7 @@ setup: $(READY)
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt torch
-	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[train,report,export,notebooks,dev]'
+	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[train,report,export,notebooks,docs,dev]'
 	touch $@
 
 demo: $(READY)
@@ -27,7 +28,10 @@ check: $(READY)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-test: check
+docs: $(READY)
+	$(BIN)/sphinx-build -q -W -n --keep-going notebooks/guide build/guide
+
+test: check docs
 	$(BIN)/pytest -n 2 --dist loadfile
 
 bench: $(READY)
@@ -40,4 +44,4 @@ bench-logs: $(READY)
 	$(BIN)/frasa-sysid simulate --robot --base both --seed 1 --seconds 25 --out bench_logs/robot.mcap
 
 clean:
-	rm -rf demo runs .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf demo runs build notebooks/guide/generated .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
