@@ -55,6 +55,7 @@ def copy(tmp_path, monkeypatch, law_once):
     """A scratch copy of the repository's data, the working folder of a page's reader."""
     for name in ("robot_model", "bench_logs"):
         shutil.copytree(ROOT / name, tmp_path / name)
+    shutil.copytree(GUIDE, tmp_path / "notebooks" / "guide", ignore=shutil.ignore_patterns("generated", "__pycache__"))
     for name in ("Makefile", "pyproject.toml", "constraints.txt"):
         shutil.copy(ROOT / name, tmp_path)
     monkeypatch.chdir(tmp_path)
@@ -82,24 +83,25 @@ def test_a_page_runs(page, copy):
 
 def _check(command, where):
     for one in command.before:
-        _, status = _run(shlex.split(one))
+        _, status = _run(one)
         assert status == 0, f"{where}: {one}"
-    words = shlex.split(command.text)
     if command.unrun:
-        _parse(words, where)
+        _parse(shlex.split(command.text), where)
         return
-    printed, status = _run(SHOWN.changed(words, shlex.split(command.options)))
+    printed, status = _run(command.text, shlex.split(command.options))
     assert status == command.status, f"{where}: {command.text}\nended with {status}\n{printed[-3000:]}"
     missing = SHOWN.missing(command.shown, printed)
     assert missing is None, f"{where}: {command.text}\ndoes not print: {missing}\nbut:\n{printed[-6000:]}"
 
 
-def _run(words):
+def _run(line, options=()):
     """What a command prints and its exit status; our own programs run in this process, which is imported already."""
-    if words[0] not in PROGRAMS or {"|", ">", "&&"} & set(words):
-        done = subprocess.run(shlex.join(words), shell=True, capture_output=True, text=True, check=False)
+    words = shlex.split(line)
+    if words[0] not in PROGRAMS or {"|", ">", "&&", ";"} & set(words):
+        assert not options, line
+        done = subprocess.run(line, shell=True, capture_output=True, text=True, check=False)
         return done.stdout + done.stderr, done.returncode
-    text = io.StringIO()
+    words, text = SHOWN.changed(words, options), io.StringIO()
     with contextlib.redirect_stdout(text), contextlib.redirect_stderr(text), pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", words)
         try:
