@@ -9,17 +9,14 @@ import os
 import signal
 import sys
 import threading
-import time
 import traceback
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from frasa_rl.places import Place
 from frasa_rl.sweep_files import RESULT_FILE, ends_of
-from frasa_sysid.calibration import CalibrationError, FrasaError, UsageError, plain, say, write_atomic
+from frasa_sysid.calibration import CalibrationError, FrasaError, alone, plain, say, write_atomic
 
 _PATIENCE_S = 60.0  # an agent whose sweep was killed is still saving
 
@@ -54,7 +51,7 @@ def _train(said: dict[str, Any], out: Path, place: Place) -> None:
 
     Raises:
         CalibrationError: the model here is not the one of the order.
-        UsageError: another process is training in that folder.
+        BusyError: another process is training in that folder.
     """
     from frasa_rl.plan import model_hash, plan_from
     from frasa_rl.policy import RUN_FILE
@@ -66,47 +63,10 @@ def _train(said: dict[str, Any], out: Path, place: Place) -> None:
         raise CalibrationError(f"{plan.model} is not the model this sweep was started with: start a new one")
     if not place.cores and plan.settings.env_threads is None:  # else it would take the whole machine
         plan = replace(plan, settings=replace(plan.settings, env_threads=place.count))
-    with _alone(out):
+    with alone(out, folder=True, patience_s=_PATIENCE_S):
         result = train(plan, resume=(out / RUN_FILE).exists())
         done = {**plain(result), "ends": ends_of(said)}
         write_atomic(out / RESULT_FILE, json.dumps(done, indent=2, allow_nan=False) + "\n")
-
-
-@contextmanager
-def _alone(out: Path) -> Iterator[None]:
-    """Nobody else of a sweep trains in a folder meanwhile.
-
-    Raises:
-        UsageError: somebody does.
-    """
-    try:
-        import fcntl
-    except ImportError:  # not on this system
-        yield
-        return
-    out.mkdir(parents=True, exist_ok=True)
-    with (out / ".lock").open("w") as file:
-        until = time.monotonic() + _PATIENCE_S
-        with suppress(_NoLocksError):
-            while not _locked(fcntl.flock, file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB):
-                if time.monotonic() > until:
-                    raise UsageError(f"another process is training in {out}")
-                time.sleep(0.2)
-        yield
-
-
-class _NoLocksError(Exception):
-    """This file system knows no locks."""
-
-
-def _locked(flock: Any, file: int, how: int) -> bool:  # noqa: ANN401 - a function of the system
-    try:
-        flock(file, how)
-    except BlockingIOError:
-        return False
-    except OSError as error:
-        raise _NoLocksError from error
-    return True
 
 
 if __name__ == "__main__":

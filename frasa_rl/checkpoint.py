@@ -7,17 +7,20 @@ A checkpoint appears under its name by one rename, and the older one is removed 
 one of them is there. Nothing is compressed, so that 300,000 transitions take a fraction of a second.
 """
 
+import os
 import pickle
 import shutil
 import struct
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
 from frasa_rl.snapshots import Arrays
-from frasa_sysid.calibration import InputError
+from frasa_sysid.calibration import InputError, cannot_write
 
 FOLDER = "checkpoints"
 _MODEL, _STATE = "model.zip", "state.npz"
@@ -40,6 +43,9 @@ def save_checkpoint(run: Path, steps: int, mark: str, model: bytes, state: Array
         mark: of the run: what else has it can resume from this.
         model: SB3's file.
         state: all the rest.
+
+    Raises:
+        OutputError: it cannot be written; the older one is still there.
     """
     done = run / FOLDER / f"{steps:09d}"
     if done.exists():  # a run that was over went on to another end at the same steps
@@ -47,14 +53,29 @@ def save_checkpoint(run: Path, steps: int, mark: str, model: bytes, state: Array
         shutil.rmtree(done, ignore_errors=True)
     partial = run / FOLDER / "partial"
     shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    (partial / _MODEL).write_bytes(model)
-    np.savez(partial / _STATE, allow_pickle=False, **state, mark=np.array(mark))
-    partial.rename(done)
+    try:
+        partial.mkdir(parents=True)
+        with _durable(partial / _MODEL) as file:
+            file.write(model)
+        with _durable(partial / _STATE) as file:
+            np.savez(file, allow_pickle=False, **state, mark=np.array(mark))
+        partial.rename(done)
+    except OSError as error:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise cannot_write(done, error) from error
     for other in (run / FOLDER).iterdir():
         if other != done:
             shutil.rmtree(other)
     return done
+
+
+@contextmanager
+def _durable(path: Path) -> Iterator[IO[bytes]]:
+    """A new file that is on the disk when this ends: the older checkpoint goes soon after, and so may the power."""
+    with path.open("wb") as file:
+        yield file
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def load_checkpoint(

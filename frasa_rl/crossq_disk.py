@@ -8,8 +8,7 @@ the file of the outermost function only: a mark beside its files says what all o
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,9 @@ import llvmlite
 import numba
 from llvmlite import binding
 
+from frasa_sysid.calibration import BusyError, alone, write_atomic
+
+_PATIENCE_S = 600.0  # for another process that compiles the same
 _CHILD = "FRASA_COMPILES"  # set in the process that compiles for others
 _PYTHON = f"py{sys.version_info[0]}{sys.version_info[1]}"  # as Numba names its files
 _FILL = """
@@ -49,7 +51,7 @@ def fill(compiled: Any, script: str = _FILL) -> None:  # noqa: ANN401 - a functi
         return
     folder = Path(compiled.stats.cache_path)
     file, wanted = folder / f"crossq.{_PYTHON}.mark", mark()
-    with suppress(OSError), _alone(folder):
+    with suppress(OSError, BusyError), alone(file, patience_s=_PATIENCE_S):  # agents of a sweep begin together
         if any(folder.glob(f"crossq_*.{_PYTHON}*.nbi")) and file.is_file() and file.read_text() == wanted:
             return
         file.unlink(missing_ok=True)
@@ -59,7 +61,7 @@ def fill(compiled: Any, script: str = _FILL) -> None:  # noqa: ANN401 - a functi
         environment = {**os.environ, _CHILD: "1", "PYTHONPATH": path}
         done = subprocess.run([sys.executable, "-c", script], env=environment, check=False, capture_output=True)
         if done.returncode == 0:
-            file.write_text(wanted)
+            write_atomic(file, wanted)
 
 
 def mark() -> str:
@@ -68,15 +70,3 @@ def mark() -> str:
     machine = [binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()]
     said = [numba.__version__, llvmlite.__version__, *machine, *(one.read_text(encoding="utf-8") for one in sources)]
     return sha256("\0".join(said).encode()).hexdigest()
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """One process at a time, where the system has locks: agents of a sweep begin together."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "crossq.lock").open("w") as file:
-        with suppress(ImportError):
-            import fcntl
-
-            fcntl.flock(file.fileno(), fcntl.LOCK_EX)
-        yield

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from frasa_rl.demo_page import standing, write_page
-from frasa_sysid.calibration import FrasaError, run_command, say
+from frasa_sysid.calibration import FrasaError, alone, run_command, say
 
 SERVOS = ("mx106", "mx64")
 ROBOT = Path("robot_model")
@@ -78,6 +78,12 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     Raises:
         DemoError: a step failed.
     """
+    with alone(args.out, folder=True):
+        return _run_alone(args)
+
+
+def _run_alone(args: argparse.Namespace) -> dict[str, Any]:
+    """The chain, with nobody else writing the same folder."""
     demo = Demo(args.out)
     started = time.monotonic()
     training = args.out / "run"

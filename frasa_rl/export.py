@@ -12,14 +12,14 @@ from frasa_rl.deployment import metadata
 from frasa_rl.onnx_file import INPUT, onnx_bytes
 from frasa_rl.policy import ONNX_FILE, Policy
 from frasa_rl.runtime import DEPLOY_FILE, WEIGHTS_FILE, Network, read_weights
-from frasa_sysid.calibration import QualityError, write_atomic
+from frasa_sysid.calibration import QualityError, sha256_of, write_together
 
 AGREEMENT = 1e-5
 _TRIED = 1000
 
 
 def publish(policy: Policy, deploy: dict[str, Any], folder: Path) -> list[Path]:
-    """Write all files of a policy; each is complete or absent, and all tell of the same weights.
+    """Write all files of a policy together; each has the hash of the weights it tells of.
 
     Without the package `onnx`, policy.onnx is left out.
 
@@ -29,12 +29,15 @@ def publish(policy: Policy, deploy: dict[str, Any], folder: Path) -> list[Path]:
         folder: is made when missing.
     """
     deploy = {**deploy, "frasa_version": __version__}
-    policy.save(folder, {"frasa_deploy": json.dumps(deploy, allow_nan=False)})
-    layers, digest = read_weights(folder / WEIGHTS_FILE)
+    files = policy.files({"frasa_deploy": json.dumps(deploy, allow_nan=False)})
+    digest = sha256_of(files[WEIGHTS_FILE])
     deploy = {**deploy, "weights_sha256": digest}
     if find_spec("onnx"):
-        write_atomic(folder / ONNX_FILE, onnx_bytes(layers, {**metadata(deploy), "weights_sha256": digest}))
-    write_atomic(folder / DEPLOY_FILE, json.dumps(deploy, indent=2, allow_nan=False) + "\n")
+        files[ONNX_FILE] = onnx_bytes(policy.layers, {**metadata(deploy), "weights_sha256": digest})
+    else:
+        (folder / ONNX_FILE).unlink(missing_ok=True)  # of other weights
+    files[DEPLOY_FILE] = (json.dumps(deploy, indent=2, allow_nan=False) + "\n").encode()
+    write_together({folder / name: content for name, content in files.items()})
     return sorted(one for one in folder.iterdir() if one.is_file() and not one.name.startswith("."))
 
 

@@ -19,13 +19,14 @@ import numpy.typing as npt
 import yaml
 
 from frasa_rl.runtime import DEPLOY_FILE, WEIGHTS_FILE, DeployError, check_layers, read_weights
-from frasa_sysid.calibration import InputError, plain, write_atomic
+from frasa_sysid.calibration import InputError, plain, sha256_of, write_together
 
 Array = npt.NDArray[np.float32]
 RUN_FILE = "run.yaml"
 ONNX_FILE = "policy.onnx"
 FOLDER = "policy"
 _LARGEST_RUN = 1 << 20
+_HASH = "weights_sha256"  # in run.yaml, older ones have none
 
 
 class PolicyError(InputError):
@@ -70,16 +71,21 @@ class Policy:
             folder: of the policy.
             metadata: notes to carry along with the weights.
         """
+        for name in (ONNX_FILE, DEPLOY_FILE):
+            (folder / name).unlink(missing_ok=True)
+        write_together({folder / name: content for name, content in self.files(metadata).items()})
+
+    def files(self, metadata: Mapping[str, str] | None = None) -> dict[str, bytes]:
+        """The content of weights and run.yaml, by name; run.yaml has the hash of the weights it speaks of."""
         from safetensors.numpy import save
 
         tensors = {}
         for index, (weight, bias) in enumerate(self.layers):
             tensors[f"layer{index}.weight"] = np.ascontiguousarray(weight)
             tensors[f"layer{index}.bias"] = np.ascontiguousarray(bias)
-        for name in (ONNX_FILE, DEPLOY_FILE):
-            (folder / name).unlink(missing_ok=True)
-        write_atomic(folder / WEIGHTS_FILE, save(tensors, dict(metadata) if metadata else None))
-        write_atomic(folder / RUN_FILE, yaml.safe_dump(plain(self.run), sort_keys=False))
+        weights: bytes = save(tensors, dict(metadata) if metadata else None)
+        said = {**plain(self.run), _HASH: sha256_of(weights)}
+        return {WEIGHTS_FILE: weights, RUN_FILE: yaml.safe_dump(said, sort_keys=False).encode()}
 
     @staticmethod
     def load(folder: Path | str) -> "Policy":
@@ -92,10 +98,16 @@ class Policy:
         inner = path / FOLDER
         path = inner if (inner / WEIGHTS_FILE).is_file() else path
         try:
-            layers, _ = read_weights(path / WEIGHTS_FILE)
+            layers, digest = read_weights(path / WEIGHTS_FILE)
         except DeployError as error:
             raise PolicyError(str(error)) from None
-        return Policy(layers, read_run(path / RUN_FILE))
+        run = read_run(path / RUN_FILE)
+        if run.pop(_HASH, digest) != digest:
+            raise PolicyError(
+                f"{path}: {WEIGHTS_FILE} and {RUN_FILE} are of different policies, as after a kill between them: "
+                "go on with the run (--resume), or export the policy again"
+            )
+        return Policy(layers, run)
 
 
 def read_run(path: Path) -> dict[str, Any]:

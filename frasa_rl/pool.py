@@ -4,7 +4,7 @@ import io
 import os
 import zipfile
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from pathlib import Path
 
@@ -17,8 +17,9 @@ from frasa_rl.config import Task
 from frasa_rl.falls import Kind
 from frasa_rl.simulation import FULL, Start, fresh
 from frasa_rl.starts import StartMaker, compat_starts
-from frasa_sysid.calibration import Calibration, UsageError, plain, sha256_of, write_atomic
+from frasa_sysid.calibration import BusyError, Calibration, UsageError, alone, plain, sha256_of, write_atomic
 
+_PATIENCE_S = 600.0  # for another process that makes the same pool
 VERSION = 2  # of what a pool holds; another one is made anew
 
 
@@ -87,16 +88,28 @@ class Pool:
             return
         key = pool_key(maker.original, maker.task, calibration, wanted, seed, branch)
         path = folder / f"starts-{key}.npz"
-        kept = _load(path) if path.is_file() else None
-        if kept is not None and self._fits(kept, count, key):
-            self.starts = [self._restore(i, kept) for i in range(count)]
+        if self._find(path, count, key):
             return
-        self.starts = self._make(wanted, tell)
-        with suppress(OSError):  # a cache that cannot be written is none: the pool is there all the same
-            write_atomic(path, _packed(self.starts, key))
+        with ExitStack() as stack:
+            # Many agents begin together: one of them makes it, the others wait. Without a lock each makes its own.
+            with suppress(OSError, BusyError):
+                stack.enter_context(alone(path, patience_s=_PATIENCE_S))
+            if self._find(path, count, key):
+                return
+            self.starts = self._make(wanted, tell)
+            with suppress(OSError):  # a cache that cannot be written is none: the pool is there all the same
+                write_atomic(path, _packed(self.starts, key))
 
     def __len__(self) -> int:
         return len(self.starts)
+
+    def _find(self, path: Path, count: int, key: str) -> bool:
+        """Take the starts from a file, if it holds them."""
+        kept = _load(path) if path.is_file() else None
+        if kept is None or not self._fits(kept, count, key):
+            return False
+        self.starts = [self._restore(i, kept) for i in range(count)]
+        return True
 
     def _rng(self, index: int) -> np.random.Generator:
         return np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(*self._branch, index)))

@@ -43,7 +43,8 @@ class Watch:
         def look() -> None:
             while not ended.wait(_LOOK_S):
                 if interrupt.asked:
-                    (self._sweep.out / STOP_FILE).touch()
+                    with suppress(OSError):  # a full disk may have room the next time
+                        (self._sweep.out / STOP_FILE).touch()
                 if self.line.due:
                     self.line.show(self.text())
 

@@ -14,6 +14,7 @@ import random
 import shutil
 import time
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,16 @@ from frasa_rl.progress import Progress
 from frasa_rl.replay import Replay
 from frasa_rl.snapshots import Arrays, nested, part
 from frasa_rl.stopping import Interrupt
-from frasa_sysid.calibration import CalibrationError, InterruptedRunError, UsageError, say, write_atomic
+from frasa_sysid.calibration import (
+    CalibrationError,
+    InterruptedRunError,
+    OutputError,
+    UsageError,
+    alone,
+    cannot_write,
+    say,
+    write_atomic,
+)
 
 LATEST = "latest"
 
@@ -60,8 +70,16 @@ def train(plan: Plan, *, resume: bool = False, curriculum: Curriculum | None = N
         CalibrationError: the model of a resumed run has changed.
         UsageError: the folder already holds a run, or there is no end.
         CheckpointError: there is nothing to resume from.
+        BusyError: another process is training in that folder.
+        OutputError: something cannot be written; what was saved before is there to resume from.
     """
     plan.check_ends()
+    with alone(plan.out, folder=True):
+        return _train_alone(plan, resume, curriculum)
+
+
+def _train_alone(plan: Plan, resume: bool, curriculum: Curriculum | None) -> dict[str, Any]:
+    """With nobody else writing the same run folder."""
     description = describe(plan, type(curriculum or Curriculum()).__name__)
     if resume:
         _check_same(description, read_run(plan.out / RUN_FILE))
@@ -70,8 +88,17 @@ def train(plan: Plan, *, resume: bool = False, curriculum: Curriculum | None = N
     loop = make_loop(plan, curriculum)
     try:
         return _Run(plan, description, loop).go(resume=resume)
+    except OutputError as error:
+        raise OutputError(f"{error}; {_advice(plan.out)}") from error
+    except OSError as error:  # TensorBoard's files, which know no names in their errors
+        where = Path(error.filename) if isinstance(error.filename, str) else plan.out
+        raise OutputError(f"{cannot_write(where, error)}; {_advice(plan.out)}") from error
     finally:
         loop.close()
+
+
+def _advice(out: Path) -> str:
+    return f"then go on with --resume {out}" if (out / RUN_FILE).exists() else "no step was saved yet"
 
 
 def make_loop(plan: Plan, curriculum: Curriculum | None = None) -> Loop:

@@ -25,6 +25,7 @@ from frasa_sysid.calibration import (
     servo_law,
     sha256_of,
     write_atomic,
+    write_together,
 )
 from frasa_sysid.calibration.apply import PRESENT_SUPPLY
 from frasa_sysid.calibration.friction import LAWS
@@ -123,6 +124,9 @@ def write(
 ) -> Path:
     """Write both files after MuJoCo has compiled the model and every number was read back from it.
 
+    They replace the older ones together. Who is killed in the microseconds between leaves a model and ranges with
+    different calibration ids, which `load_calibration` refuses; the next publication mends it.
+
     Args:
         published: what `publish` made; the numbers of its fits must be found again in the compiled model.
         nominal: the model they started from.
@@ -144,8 +148,7 @@ def write(
         if check is not None:
             check(model, candidate)
         ranges = out.with_name(RANGES_FILE)
-        write_atomic(ranges, published.ranges)
-        candidate.replace(out)
+        write_together({ranges: published.ranges, out: published.xml})
     finally:
         candidate.unlink(missing_ok=True)
     return ranges

@@ -8,7 +8,7 @@ gyro h/2 shorter; those numbers are published.
 import copy
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,8 +29,10 @@ from frasa_sysid.robot_simulator import RobotSimulator, split_pieces
 from frasa_sysid.robot_solve import Settled, Tell, covariance_of, settle_robot
 from frasa_sysid.robot_stack import Stack
 from frasa_sysid.robot_stance import level_zeros
+from frasa_sysid.robot_trail import Trail
 from frasa_sysid.stored_fit import StoredFit
 
+ALL, ROUGHLY = "all pieces", "some pieces"  # searches of a fit
 COARSE = 3  # of so many pieces on the ground, one leads the first steps
 _SILENT = 0.7  # of the prior's width that an interval must stay below to say anything
 _TOGETHER = 0.95  # correlation beyond which only a combination is known
@@ -118,9 +120,8 @@ def fit_robot(
     hold_out: float = 0.0,
     threads: int | None = None,
     seed: int = 0,
-    start: FloatArray | None = None,
     tell: Tell = lambda stage, count, best: None,
-    keep: Callable[[FloatArray, int], None] = lambda x, iteration: None,
+    trail: Trail | None = None,
 ) -> RobotFit:
     """Fit a robot's logs.
 
@@ -134,9 +135,8 @@ def fit_robot(
         hold_out: share of every recording, its end, that is not fitted but only compared.
         threads: by default one per core.
         seed: for the record.
-        start: where to begin, (n,), to go on from an earlier run.
         tell: told (stage, robots simulated, cost).
-        keep: told the point after each step.
+        trail: of an earlier run of the very same fit, to go on from to the same result; and of this one.
 
     Raises:
         LogError, ModelError, UsageError: bad input.
@@ -153,9 +153,10 @@ def fit_robot(
         own = candidate_of(model).command_delays
         problem = state_robot_problem(runs, servo_classes(model), delays, float(trunk), groups, seed, own)
         fitted, held = _comparisons(simulators, runs, hold_out)
-        if rough := "floating" in simulators and start is None:
-            start = _roughly(problem, fitted, tell, keep)
-        settled = settle_robot(problem, Stack(fitted), start, tell, keep, near=rough)
+        trail, start, rough = trail or Trail(), None, "floating" in simulators
+        if rough and not trail.reached(ALL):
+            start = _roughly(problem, fitted, tell, trail)
+        settled = settle_robot(problem, Stack(fitted), start, tell, trail, ALL, near=rough)
         logged, covariance, half = covariance_of(problem, settled.linear)
         points = {"nominal": problem.start(), "fitted": settled.x}
         errors = {name: _errors(problem, fitted, x) for name, x in points.items()}
@@ -189,9 +190,7 @@ def _comparisons(
     return fitted, held
 
 
-def _roughly(
-    problem: RobotProblem, comparisons: Sequence[Comparison], tell: Tell, keep: Callable[[FloatArray, int], None]
-) -> FloatArray:
+def _roughly(problem: RobotProblem, comparisons: Sequence[Comparison], tell: Tell, trail: Trail) -> FloatArray:
     """Where flat feet, then a part of the pieces lead, (n,): most of the way, at a part of the price of contacts."""
     x = problem.start()
     for one in comparisons:
@@ -201,7 +200,7 @@ def _roughly(
             zeros = level_zeros(copy.copy(here.model), here.writer, here.trunk, run, problem.ages)
             x = np.array([zeros.get(q.name.removesuffix(".zero"), v) for q, v in zip(problem.free, x, strict=True)])
     some = [Comparison(one.simulator, one.pieces[::COARSE]) for one in comparisons]
-    return settle_robot(problem, Stack(some), x, tell, keep, weigh=False).x
+    return settle_robot(problem, Stack(some), x, tell, trail, ROUGHLY, weigh=False).x
 
 
 def _errors(problem: RobotProblem, comparisons: Sequence[Comparison], x: FloatArray) -> dict[str, tuple[float, float]]:

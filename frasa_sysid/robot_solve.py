@@ -20,6 +20,7 @@ from frasa_sysid.recording import FloatArray
 from frasa_sysid.robot_problem import RobotProblem
 from frasa_sysid.robot_residuals import Layout, noise_units
 from frasa_sysid.robot_stack import Stack
+from frasa_sysid.robot_trail import Place, Trail
 
 ITERATIONS = 12
 _HUBER = 3.0  # noise units beyond which a residual counts as model error
@@ -81,7 +82,8 @@ def settle_robot(
     stack: Stack,
     start: FloatArray | None = None,
     tell: Tell = lambda stage, count, best: None,
-    keep: Callable[[FloatArray, int], None] = lambda x, iteration: None,
+    trail: Trail | None = None,
+    stage: str = "all",
     weigh: bool = True,
     near: bool = False,
 ) -> Settled:
@@ -92,23 +94,46 @@ def settle_robot(
         stack: residuals.
         start: where to begin, (n,); by default the problem's own.
         tell: told (stage, robots simulated, cost).
-        keep: told the point after each step, to resume from.
+        trail: what an earlier run did, and what this one does.
+        stage: of the trail.
         weigh: end with slopes that intervals can be had from; without, they are those of the last steps.
         near: the start is where a fit to a part of the log ended, from where it is not far.
     """
-    x = problem.start() if start is None else start
-    tell("slopes", 0, np.inf)
-    linear, fresh, converged = linearise_robot(problem, stack, x, central=False), True, False
-    used, cost, iteration = x.size + 1, np.inf, 0
-    for iteration in range(1, ITERATIONS + 1):
+    trail = trail or Trail()
+    at = trail.enter(stage, problem.start() if start is None else start)
+    if not at.weighing:
+        linear, at = _steps(problem, stack, at, tell, trail, weigh, near)
+        if not weigh:
+            return Settled(linear.x, linear, at.cost_before, at.iteration, at.used, at.converged)
+        trail.mark(at)
+    tell("weighing the evidence", at.used, at.cost_before)
+    linear = linearise_robot(problem, stack, np.array(at.x))
+    used, cost = at.used + 2 * linear.x.size + 1, at.cost_before
+    for _ in range(_POLISH):
         before = _cost(problem, stack.layout, linear.residuals, linear.units, linear.x)
-        moved, cost, count = _moved(problem, stack, linear, before, _SHARES if fresh else _SHARES[:_BOLD])
+        linear, cost, count = _moved(problem, stack, linear, before, _SHARES[:_BOLD], trail, learn=False)
+        used += count
+        if before - cost < _ENOUGH * before:
+            break
+    return Settled(linear.x, linear, float(cost), at.iteration, used, at.converged)
+
+
+def _steps(
+    problem: RobotProblem, stack: Stack, at: Place, tell: Tell, trail: Trail, weigh: bool, near: bool
+) -> tuple[Linear, Place]:
+    """Steps from a place on until they are not worth it: the slopes they end with, and the place to weigh."""
+    tell("slopes", at.used, at.cost_before)
+    linear = linearise_robot(problem, stack, np.array(at.x), at.units_array, central=False)
+    fresh, converged = True, False
+    used, cost, iteration = at.used + linear.x.size + 1, at.cost_before, at.iteration
+    for iteration in range(at.iteration, ITERATIONS + 1):
+        before = _cost(problem, stack.layout, linear.residuals, linear.units, linear.x)
+        moved, cost, count = _moved(problem, stack, linear, before, _SHARES if fresh else _SHARES[:_BOLD], trail)
         used += count
         gained = before - cost
         # Noise units that follow the residuals for ever would let the cost go round in circles.
         units = noise_units(moved.residuals, stack.layout) if iteration < _SETTLED_UNITS else linear.units
         linear = _weighted(moved.x, moved.residuals, moved.slopes, units, stack.layout)
-        keep(linear.x, iteration)
         tell("steps", used, cost)
         # What is left is left to the slopes of the end where there was a fit before, or another one goes on.
         converged = gained < _ROUGHLY * before if near else fresh and gained < (_ENOUGH if weigh else _ROUGHLY) * before
@@ -117,25 +142,23 @@ def settle_robot(
         # Slopes serve while they find descent; computing them costs ten times as much as a step.
         fresh = not near and gained < _WORTHWHILE * before
         if fresh:
+            x, units = tuple(linear.x.tolist()), tuple(linear.units.tolist())
+            trail.mark(Place(at.stage, x, units, iteration + 1, used, float(cost)))
             tell("slopes", used, cost)
             linear = linearise_robot(problem, stack, linear.x, linear.units, central=False)
-            used += x.size + 1
-    if not weigh:
-        return Settled(linear.x, linear, float(cost), iteration, used, converged)
-    tell("weighing the evidence", used, cost)
-    linear = linearise_robot(problem, stack, linear.x)
-    used += 2 * x.size + 1
-    for _ in range(_POLISH):
-        before = _cost(problem, stack.layout, linear.residuals, linear.units, linear.x)
-        linear, cost, count = _moved(problem, stack, linear, before, _SHARES[:_BOLD], learn=False)
-        used += count
-        if before - cost < _ENOUGH * before:
-            break
-    return Settled(linear.x, linear, float(cost), iteration, used, converged)
+            used += linear.x.size + 1
+    x = tuple(linear.x.tolist())
+    return linear, Place(at.stage, x, None, min(iteration, ITERATIONS), used, float(cost), True, converged)
 
 
 def _moved(
-    problem: RobotProblem, stack: Stack, linear: Linear, before: float, shares: Sequence[float], learn: bool = True
+    problem: RobotProblem,
+    stack: Stack,
+    linear: Linear,
+    before: float,
+    shares: Sequence[float],
+    trail: Trail,
+    learn: bool = True,
 ) -> tuple[Linear, float, int]:
     """The best point along a damped Gauss-Newton step, its cost, and how many robots were simulated for it.
 
@@ -145,26 +168,49 @@ def _moved(
         linear: where it is, and slopes.
         before: cost there.
         shares: of the step to try, the boldest first; later ones only where those do not help.
+        trail: which of them an earlier run took.
         learn: mend the slopes by what the step showed (Broyden 1965).
     """
     A, g = normal_equations(problem, linear)
     step = -np.linalg.solve(A + _DAMPING * np.diag(np.diag(A)), g)
+    trials = np.clip(linear.x + np.outer(shares, step), *problem.bounds())
+    taken, row, cost, used = _tried(problem, stack, linear, before, trials, trail)
+    if taken < 0:
+        return linear, before, used
+    slopes, moved = linear.slopes, trials[taken] - linear.x
+    if learn:
+        way = moved * np.diag(A)  # in units of what the log can tell
+        slopes = slopes + np.outer(way, row - linear.residuals - moved @ slopes) / (way @ moved)
+    return _weighted(trials[taken], row, slopes, linear.units, stack.layout), cost, used
+
+
+def _tried(
+    problem: RobotProblem, stack: Stack, linear: Linear, before: float, trials: FloatArray, trail: Trail
+) -> tuple[int, FloatArray, float, int]:
+    """Which of the points (m, n) is taken, -1 for none; residuals (R,) and cost there, and robots simulated."""
+
+    def costs(points: FloatArray) -> tuple[FloatArray, list[float]]:
+        rows = stack.residuals(problem, points, linear.x)
+        return rows, [_cost(problem, stack.layout, r, linear.units, x) for r, x in zip(rows, points, strict=True)]
+
+    known = trail.known()
+    if known is not None:
+        taken, used = known
+        if not 0 <= taken < len(trials):
+            return -1, linear.residuals, before, used
+        rows, found = costs(trials[[taken]])
+        return taken, rows[0], found[0], used
     used = 0
-    for some in filter(len, (shares[:_BOLD], shares[_BOLD:])):
-        trials = np.clip(linear.x + np.outer(some, step), *problem.bounds())
-        rows = stack.residuals(problem, trials, linear.x)
-        costs = [_cost(problem, stack.layout, r, linear.units, t) for r, t in zip(rows, trials, strict=True)]
-        used += len(trials)
-        best = int(np.argmin(costs))
-        if costs[best] < before:
-            slopes = linear.slopes
-            if learn:
-                way = (trials[best] - linear.x) * np.diag(A)  # in units of what the log can tell
-                surprise = rows[best] - linear.residuals - (trials[best] - linear.x) @ slopes
-                slopes = slopes + np.outer(way, surprise) / (way @ (trials[best] - linear.x))
-            moved = _weighted(trials[best], rows[best], slopes, linear.units, stack.layout)
-            return moved, costs[best], used
-    return linear, before, used
+    for first, some in ((0, trials[:_BOLD]), (_BOLD, trials[_BOLD:])):
+        if len(some):
+            rows, found = costs(some)
+            used += len(some)
+            best = int(np.argmin(found))
+            if found[best] < before:
+                trail.moved(first + best, used)
+                return first + best, rows[best], found[best], used
+    trail.moved(-1, used)
+    return -1, linear.residuals, before, used
 
 
 def linearise_robot(

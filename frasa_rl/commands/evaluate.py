@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,11 +18,12 @@ from frasa_sysid.calibration import (
     UsageError,
     add_json_flag,
     add_report_arguments,
+    alone,
     calibration_id,
     load_model,
     plain,
     say,
-    write_atomic,
+    write_together,
 )
 
 TABLE_FILE, JSON_FILE, PICTURE_FILE = "evaluation.txt", "evaluation.json", "evaluation.png"
@@ -65,6 +67,12 @@ def run_protocol(args: argparse.Namespace, word: str) -> dict[str, Any]:
     pictures = [one for one in (args.picture, args.out and args.out / PICTURE_FILE) if one]
     for path in pictures:
         check_picture(path)
+    with alone(args.out, folder=True) if args.out else nullcontext():
+        return _measured(args, word, pictures)
+
+
+def _measured(args: argparse.Namespace, word: str, pictures: list[Path]) -> dict[str, Any]:
+    """The trials and their files, with nobody else writing the same ones."""
     controller, asked = conditions(args, word, args.model, randomize=args.randomize)
     identity = calibration_id(load_model(asked.model))
     with shown_share("trials") as tell:
@@ -88,8 +96,8 @@ def run_protocol(args: argparse.Namespace, word: str) -> dict[str, Any]:
     text = tables(result)
     say(text)
     if args.out:
-        write_atomic(args.out / TABLE_FILE, text + "\n")
-        write_atomic(args.out / JSON_FILE, json.dumps(plain(result), indent=2, allow_nan=False) + "\n")
+        said = json.dumps(plain(result), indent=2, allow_nan=False)
+        write_together({args.out / TABLE_FILE: text + "\n", args.out / JSON_FILE: said + "\n"})
     for path in pictures:
         draw(result, path)
     page = (

@@ -13,7 +13,7 @@ from frasa_rl.deployment import deployment
 from frasa_rl.evaluate import find_policy
 from frasa_rl.export import check_published, publish
 from frasa_rl.foreign import is_foreign
-from frasa_sysid.calibration import CalibrationError, UsageError, add_json_flag, say
+from frasa_sysid.calibration import CalibrationError, UsageError, add_json_flag, alone, say
 
 SCHEMA = "frasa.export/1"
 
@@ -46,8 +46,9 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     if not args.allow_other_model:
         _check_model(policy.run, deploy["model"], model)
     out: Path = args.out or (Path(args.policy).with_suffix("") if foreign else Path(args.policy) / "export")
-    files = publish(policy, deploy, out)
-    agreement = check_published(policy, deploy, out)
+    with alone(out, folder=True):
+        files = publish(policy, deploy, out)
+        agreement = check_published(policy, deploy, out)
     size = sum(one.stat().st_size for one in files)
     say(f"{out}: {', '.join(one.name for one in files)}, {size / 1e6:.1f} MB")
     say("differ from the policy by at most " + ", ".join(f"{one:.0e} ({name})" for name, one in agreement.items()))

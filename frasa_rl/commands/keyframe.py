@@ -18,7 +18,7 @@ from frasa_rl.keyframe import KEYFRAMES, load_controller
 from frasa_rl.keyframe_file import load_keyframes, save_keyframes
 from frasa_rl.protocol import evaluation_task
 from frasa_rl.routine import Keyframes
-from frasa_sysid.calibration import InterruptedRunError, UsageError, say
+from frasa_sysid.calibration import InterruptedRunError, UsageError, alone, say
 
 TUNED = Path("keyframes.yaml")
 
@@ -37,7 +37,8 @@ def add_command(commands: Any) -> None:  # noqa: ANN401 - argparse keeps this ty
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
     if args.tune:
-        return _tune(args)
+        with alone(args.best or TUNED):
+            return _tune(args)
     given = [f"--{name}" for name in ("minutes", "best") if getattr(args, name) is not None]
     if given:
         raise UsageError(f"{', '.join(given)}: only with --tune")

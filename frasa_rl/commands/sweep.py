@@ -21,6 +21,7 @@ from frasa_sysid.calibration import (
     InterruptedRunError,
     UsageError,
     add_json_flag,
+    alone,
     plain,
     say,
     write_atomic,
@@ -57,12 +58,23 @@ def add_command(commands: Any) -> None:  # noqa: ANN401 - argparse keeps this ty
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
     try:
-        from frasa_rl.sweep import run_sweep  # what training needs is imported only where it is needed
+        import frasa_rl.sweep  # noqa: F401 - what training needs is imported only where it is needed
     except ModuleNotFoundError as error:
         raise UsageError(f"training needs {error.name}: pip install 'frasa[train]'") from None
 
     _check(args)
-    sweep = _resumed(args) if args.resume else _new(args)
+    out = args.resume or args.out or Path("runs") / f"sweep-{datetime.now():%Y%m%d-%H%M%S}"
+    if args.resume:
+        check_resumed(args, "first_seed")
+        read_sweep(out)  # says that there is none before a lock makes its folder
+    with alone(out, folder=True):
+        return _sweep(args, _resumed(args) if args.resume else _new(args, out))
+
+
+def _sweep(args: argparse.Namespace, sweep: Sweep) -> dict[str, Any]:
+    """The sweep, with nobody else writing the same folder."""
+    from frasa_rl.sweep import run_sweep
+
     if args.rank and not sweep.run["settings"]["evaluate_steps"]:
         raise UsageError("--rank chooses by held-out falls: give --evaluate-steps more than 0")
     gpu = sweep.run["device"] != "cpu"
@@ -95,7 +107,7 @@ def _check(args: argparse.Namespace) -> None:
         raise UsageError("--set seed: the seeds of a sweep are --first-seed and those after it")
 
 
-def _new(args: argparse.Namespace) -> Sweep:
+def _new(args: argparse.Namespace, out: Path) -> Sweep:
     """A sweep that begins.
 
     Raises:
@@ -106,7 +118,6 @@ def _new(args: argparse.Namespace) -> Sweep:
 
     if args.seeds is None:
         raise UsageError("give --seeds, the number of agents")
-    out = args.out or Path("runs") / f"sweep-{datetime.now():%Y%m%d-%H%M%S}"
     if (out / SWEEP_FILE).exists() and any(out.glob("seed-*")):  # one that a cluster refused has begun nothing
         raise UsageError(f"{out} already holds a sweep: choose another --out, or --resume {out}")
     first = args.first_seed or 0
@@ -125,7 +136,6 @@ def _resumed(args: argparse.Namespace) -> Sweep:
     """
     from frasa_rl.plan import plan_from
 
-    check_resumed(args, "first_seed")
     sweep = read_sweep(args.resume).until(args.steps, args.minutes, args.until_success)
     plan_from(sweep.run, sweep.out, str(sweep.out / SWEEP_FILE)).check_ends()
     if args.device:

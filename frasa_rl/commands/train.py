@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from frasa_rl.commands.leave_page import leave_page
 from frasa_rl.commands.training import add_training, check_resumed, plan_from_arguments
-from frasa_sysid.calibration import InterruptedRunError, UsageError, add_json_flag, say
+from frasa_sysid.calibration import InterruptedRunError, UsageError, add_json_flag, alone, say
 
 if TYPE_CHECKING:
     from frasa_rl.plan import Plan
@@ -48,14 +48,15 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         plan = replace(plan, device=args.device or plan.device)
     else:
         plan = plan_from_arguments(args, args.out or Path("runs") / f"standup-{datetime.now():%Y%m%d-%H%M%S}")
-    try:
-        result = train(plan, resume=bool(args.resume))
-    except InterruptedRunError:
-        if not args.no_report:
-            leave_page(partial(write_run_page, plan.out, INTERRUPTED))
-        raise
-    _tell(plan, result)
-    page = None if args.no_report else leave_page(partial(write_run_page, plan.out, result["stopped"]))
+    with alone(plan.out, folder=True):  # until the page is there, too
+        try:
+            result = train(plan, resume=bool(args.resume))
+        except InterruptedRunError:
+            if not args.no_report:
+                leave_page(partial(write_run_page, plan.out, INTERRUPTED))
+            raise
+        _tell(plan, result)
+        page = None if args.no_report else leave_page(partial(write_run_page, plan.out, result["stopped"]))
     return {**result, "outputs": {"report": page}}
 
 

@@ -28,15 +28,17 @@ from frasa_sysid.calibration.command_line import (
     tell_report,
 )
 from frasa_sysid.calibration.errors import (
+    BusyError,
     CalibrationError,
     FrasaError,
     InputError,
     InterruptedRunError,
     ModelError,
+    OutputError,
     QualityError,
     UsageError,
 )
-from frasa_sysid.calibration.files import sha256_of, sha256_of_file, write_atomic
+from frasa_sysid.calibration.files import cannot_write, sha256_of, sha256_of_file, write_atomic, write_together
 from frasa_sysid.calibration.history import hold_history
 from frasa_sysid.calibration.load import (
     calibration_id,
@@ -46,6 +48,7 @@ from frasa_sysid.calibration.load import (
     load_spec,
     read_calibration,
 )
+from frasa_sysid.calibration.locks import alone
 from frasa_sysid.calibration.parameters import (
     JOINT_FIELDS,
     LAW_FIELDS,
@@ -63,12 +66,14 @@ __all__ = [
     "SENSOR_FIELDS",
     "SERVO_FIELDS",
     "TRUNK_FIELDS",
+    "BusyError",
     "Calibration",
     "CalibrationError",
     "FrasaError",
     "InputError",
     "InterruptedRunError",
     "ModelError",
+    "OutputError",
     "Parameter",
     "QualityError",
     "Range",
@@ -76,9 +81,11 @@ __all__ = [
     "actuators_of",
     "add_json_flag",
     "add_report_arguments",
+    "alone",
     "apply",
     "assign",
     "calibration_id",
+    "cannot_write",
     "compile_model",
     "dask_client",
     "delay_room",
@@ -101,4 +108,5 @@ __all__ = [
     "tell_report",
     "trunk_of",
     "write_atomic",
+    "write_together",
 ]

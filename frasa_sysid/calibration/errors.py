@@ -18,6 +18,14 @@ class UsageError(FrasaError):
     exit_code = 2
 
 
+class OutputError(FrasaError, OSError):
+    """An output cannot be written: a full disk, a folder that may not be written; what was there is unchanged."""
+
+
+class BusyError(FrasaError):
+    """Another process writes the same output."""
+
+
 class InputError(FrasaError):
     """A log, model or calibration that was given cannot be used."""
 

@@ -13,13 +13,13 @@ from frasa_sysid import published_as
 from frasa_sysid.bench import Bench
 from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.bootstrap import full_bootstrap
-from frasa_sysid.calibration import add_json_flag, load_model, say, servo_classes
+from frasa_sysid.calibration import add_json_flag, alone, load_model, say, servo_classes
 from frasa_sysid.calibration.friction import LAWS
 from frasa_sysid.choice import Choice, choose
 from frasa_sysid.claims import settle
 from frasa_sysid.commands.bench import add_bench_arguments, bench_model, load_bench, people_console, read_logs
 from frasa_sysid.commands.fit_robot import add_robot_arguments, fit_robot_logs
-from frasa_sysid.commands.publish import add_as_flag, load_fits, publish_files
+from frasa_sysid.commands.publish import PATIENCE_S, add_as_flag, load_fits, publish_files
 from frasa_sysid.effects import EFFECTS
 from frasa_sysid.errors import CalibrationError, InterruptedRunError, UsageError
 from frasa_sysid.fit import RESTARTS, FitResult, fit
@@ -99,6 +99,12 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise UsageError(f"--out {out}: expected a name that ends in .json")
     if args.publish:
         _check_publishable(args, bench, out)
+    with alone(out):
+        return _run_bench(args, bench, effects, out)
+
+
+def _run_bench(args: argparse.Namespace, bench: Bench, effects: tuple[str, ...] | None, out: Path) -> dict[str, Any]:
+    """The fit of a bench, with nobody else writing the same file."""
     with (
         bench.session(bench_model(args), args.threads, args.timestep) as session,
         spread_over(args.jobs, args.cluster) as spread,
@@ -254,15 +260,16 @@ def _publish(
         worst, runs = replay(model, result, extras.stand_in if as_m1 else None, session)
         say(f"{model_path} replays the {runs} runs within {worst * 1e3:.2g} mrad of the fit")
 
-    fits, robot = load_fits(find_fits(out.parent))
-    try:
-        settle([published_as.as_m1(one) for one in fits] if args.as_law == "m1" else fits, robot)
-    except CalibrationError as error:
-        if robot is None:
-            raise
-        say(f"the fit of the robot is left out: {error}")
-        robot = None
-    return model_path, publish_files(fits, args.model, model_path, check, args.as_law, robot)
+    with alone(model_path, patience_s=PATIENCE_S):  # whoever publishes last has seen the fits of all
+        fits, robot = load_fits(find_fits(out.parent))
+        try:
+            settle([published_as.as_m1(one) for one in fits] if args.as_law == "m1" else fits, robot)
+        except CalibrationError as error:
+            if robot is None:
+                raise
+            say(f"the fit of the robot is left out: {error}")
+            robot = None
+        return model_path, publish_files(fits, args.model, model_path, check, args.as_law, robot)
 
 
 def show(result: FitResult, extras: Extras) -> None:

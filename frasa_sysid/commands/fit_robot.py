@@ -15,9 +15,9 @@ from rich.table import Table
 
 from frasa_sysid import stored_fit, stored_robot_fit
 from frasa_sysid.bench import inputs_of, origin_of
-from frasa_sysid.calibration import load_model, number, read, say, servo_classes, write_atomic
+from frasa_sysid.calibration import alone, load_model, number, read, say, servo_classes, write_atomic
 from frasa_sysid.commands.bench import people_console
-from frasa_sysid.commands.publish import publish_files
+from frasa_sysid.commands.publish import PATIENCE_S, publish_files
 from frasa_sysid.errors import InterruptedRunError, LogError, UsageError
 from frasa_sysid.fit import versions
 from frasa_sysid.fit_json import read_json
@@ -25,7 +25,7 @@ from frasa_sysid.fit_record import log_facts
 from frasa_sysid.joint_checks import checks
 from frasa_sysid.model_mark import mark_of
 from frasa_sysid.published_as import as_m1
-from frasa_sysid.recording import FloatArray, Recording
+from frasa_sysid.recording import Recording
 from frasa_sysid.report_robot import RobotPage, write_robot_report
 from frasa_sysid.robot_check import check_published_robot
 from frasa_sysid.robot_compare import compare_runs, held_from, last_share, of_found
@@ -33,6 +33,7 @@ from frasa_sysid.robot_fit import RobotFit, fit_robot, frozen_model
 from frasa_sysid.robot_fit_record import Interval, RobotEstimate, RobotFitRecord, base_numbers, with_products
 from frasa_sysid.robot_problem import DEFAULT_GROUPS, GROUPS, default_groups
 from frasa_sysid.robot_rig import is_robot
+from frasa_sysid.robot_trail import Place, Trail, place_from
 from frasa_sysid.stored_fit import StoredFit
 
 SUM_ONLY = (
@@ -73,14 +74,19 @@ def fit_robot_logs(args: argparse.Namespace, recordings: Sequence[Recording]) ->
         InterruptedRunError: Ctrl-C; the same command goes on from the last step.
     """
     _check(args, recordings)
-    out = args.out or args.model.parent / "fits" / "robot.json"
+    out: Path = args.out or args.model.parent / "fits" / "robot.json"
+    with alone(out):
+        return _fit_alone(args, recordings, out)
+
+
+def _fit_alone(args: argparse.Namespace, recordings: Sequence[Recording], out: Path) -> dict[str, Any]:
+    """The fit, with nobody else writing the same file."""
     fits = _frozen(args)
     bases = [args.base or one.rig.base for one in recordings]
     groups = default_groups(bases) if args.free is None else tuple(args.free.split(","))
     identity = _identity(args, recordings, fits, groups)
     partial = out.with_suffix(".partial.json")
-    start = _resumed(partial, identity)
-    found = _fit(args, recordings, fits, groups, start, partial, identity)
+    found = _fit(args, recordings, fits, groups, partial, identity)
     record = _record(args, recordings, fits, found)
     data = {**record.to_json(), "seconds": found.seconds}
     record.save(out)
@@ -133,14 +139,13 @@ def _fit(
     recordings: Sequence[Recording],
     fits: Sequence[StoredFit],
     groups: Sequence[str],
-    start: FloatArray | None,
     partial: Path,
     identity: str,
 ) -> RobotFit:
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[best]}"), TimeElapsedColumn())
 
-    def keep(x: FloatArray, iteration: int) -> None:
-        write_atomic(partial, json.dumps({"identity": identity, "x": [float(one) for one in x]}) + "\n")
+    def save(place: dict[str, Any]) -> None:
+        write_atomic(partial, json.dumps({"identity": identity, "place": place}, allow_nan=False) + "\n")
 
     with Progress(*columns, console=people_console()) as progress:
         task = progress.add_task("robot", total=None, best="")
@@ -160,13 +165,12 @@ def _fit(
                 args.hold_out_share,
                 args.threads,
                 args.seed,
-                start,
                 tell,
-                keep,
+                Trail(_resumed(partial, identity), save),
             )
         except KeyboardInterrupt:
             begun = _resumed(partial, identity) is not None
-            kept = f"its last step is in {partial}, the same command goes on" if begun else "no step was done yet"
+            kept = f"its last step is in {partial}, the same command goes on" if begun else "nothing was done yet"
             raise InterruptedRunError(f"interrupted; {kept}") from None
 
 
@@ -183,14 +187,15 @@ def _identity(
     return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
 
-def _resumed(partial: Path, identity: str) -> FloatArray | None:
-    """The point an interrupted fit of the very same had reached."""
+def _resumed(partial: Path, identity: str) -> Place | None:
+    """The place an interrupted fit of the very same had reached."""
     if not partial.exists():
         return None
     try:
         data = json.loads(partial.read_text(encoding="utf-8"))
-        return np.array([float(one) for one in data["x"]]) if data["identity"] == identity else None
-    except (ValueError, KeyError, TypeError):
+        return place_from(data["place"]) if data["identity"] == identity else None
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
+        # It is only a shortcut: a broken one costs time, never the result.
         return None
 
 
@@ -248,7 +253,8 @@ def _publish(args: argparse.Namespace, fits: Sequence[StoredFit], found: RobotFi
         mean, count = check_published_robot(path, found, robot, benches, args.model, args.threads)
         say(f"{model_path} replays {count} pieces of the logs within {mean * 1e3:.2g} mrad (mean) of the fit")
 
-    return publish_files(fits, args.model, model_path, check, args.as_law, robot)
+    with alone(model_path, patience_s=PATIENCE_S):
+        return publish_files(fits, args.model, model_path, check, args.as_law, robot)
 
 
 def _pair(limits: Sequence[float] | None) -> Interval | None:

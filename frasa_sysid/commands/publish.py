@@ -9,7 +9,7 @@ import mujoco
 
 from frasa_sysid import stored_fit, stored_robot_fit
 from frasa_sysid.bench import NOMINAL_MODEL
-from frasa_sysid.calibration import add_json_flag, say
+from frasa_sysid.calibration import add_json_flag, alone, say
 from frasa_sysid.errors import InputError
 from frasa_sysid.fit_json import ROBOT, read_json
 from frasa_sysid.publish import publish, write
@@ -18,6 +18,7 @@ from frasa_sysid.stored_fit import StoredFit
 from frasa_sysid.stored_robot_fit import StoredRobotFit
 
 SCHEMA = "frasa.publish/1"
+PATIENCE_S = 60.0  # another publication is over in a second or two
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -52,9 +53,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     Raises:
         InputError: a bad fit file or model, or two fits that claim one parameter.
     """
-    stored, robot = load_fits(args.fits)
-    out = args.out or args.model.with_name("calibrated.xml")
-    ranges = publish_files(stored, args.model, out, as_law=args.as_law, robot=robot)
+    out: Path = args.out or args.model.with_name("calibrated.xml")
+    with alone(out, patience_s=PATIENCE_S):
+        stored, robot = load_fits(args.fits)
+        ranges = publish_files(stored, args.model, out, as_law=args.as_law, robot=robot)
     return {"schema": SCHEMA, "fits": args.fits, "outputs": {"model": out, "ranges": ranges}}
 
 

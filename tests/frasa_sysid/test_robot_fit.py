@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from contextlib import suppress
 from dataclasses import replace
 
 import mujoco
@@ -22,6 +23,7 @@ from frasa_sysid.robot_residuals import Comparison, tilt, whitened
 from frasa_sysid.robot_rig import robot_run
 from frasa_sysid.robot_simulator import RobotSimulator, bare_model, delayed, pieces_of
 from frasa_sysid.robot_stance import level_zeros
+from frasa_sysid.robot_trail import Trail, place_from
 from frasa_sysid.writer import write_mcap
 
 GROUPS = ("delays", "gain", "damping", "friction")
@@ -248,32 +250,85 @@ def test_a_joint_mounted_the_other_way_round_is_refused(robot_model_dir, recordi
     assert not out.exists()
 
 
-def test_an_interrupted_fit_goes_on(robot_model_dir, recording, tmp_path, monkeypatch):
-    """Ctrl-C keeps the last step, and the same command starts from it; another one does not."""
+class KilledError(Exception):
+    """In place of kill -9."""
+
+
+class Keeper:
+    """Keeps places as a file does; dies once, as one is written."""
+
+    def __init__(self, dies_at=None):
+        self.places, self.dies_at = [], dies_at
+
+    def __call__(self, place):
+        if len(self.places) + 1 == self.dies_at:
+            raise KilledError
+        self.places.append(json.dumps(place, allow_nan=False))
+
+    @property
+    def last(self):
+        return place_from(json.loads(self.places[-1])) if self.places else None
+
+
+def assert_same_fit(one, other):
+    np.testing.assert_array_equal(one.settled.x, other.settled.x)
+    np.testing.assert_array_equal(one.covariance, other.covariance)
+    np.testing.assert_array_equal(one.half, other.half)
+    assert one.errors == other.errors
+    for name in ("cost", "iterations", "evaluations", "converged"):
+        assert getattr(one.settled, name) == getattr(other.settled, name)
+
+
+@pytest.mark.parametrize("base", ["fixed", "floating"])
+def test_a_fit_killed_anywhere_comes_to_the_same(robot_model_dir, fits, held_robot, standing_robot, base):
+    """Killed early and late, and soon after again: the same to the last bit and count."""
+    one = held_robot(2.0, "held.mcap") if base == "fixed" else standing_robot(1.0, "standing.mcap")
+
+    def fitted(trail):
+        return fit_robot(robot_model_dir / "nominal.xml", fits, [one], groups=("delays",), trail=trail)
+
+    whole = Keeper()
+    unbroken = fitted(Trail(None, whole))
+    assert len(whole.places) > 4
+    for dies_at in (3, len(whole.places)) if base == "fixed" else (len(whole.places) // 2 + 1,):
+        first, second = Keeper(dies_at), Keeper(2)
+        with pytest.raises(KilledError):
+            fitted(Trail(None, first))
+        with suppress(KilledError):
+            fitted(Trail(first.last, second))
+        assert_same_fit(fitted(Trail(second.last or first.last)), unbroken)
+
+
+def test_an_interrupted_fit_goes_on(robot_model_dir, held_robot, tmp_path, monkeypatch, capsys):
+    """Ctrl-C keeps the last step, and the same command comes to what an unbroken one does; another one begins anew."""
     folder = tmp_path / "robot_model"
     shutil.copytree(robot_model_dir, folder)
     log = tmp_path / "robot.mcap"
-    write_mcap(log, [recording])
+    write_mcap(log, [held_robot(2.0, "held.mcap")])
     from frasa_sysid.commands import fit_robot as command
 
-    real, started = command.fit_robot, []
+    real, partial = command.write_atomic, folder / "fits" / "robot.partial.json"
 
-    def stopped(*arguments):
-        started.append(arguments[9])
-        keep = arguments[11]
-        keep(np.array([0.004, 0.03]), 1)
+    def stopping(path, text):
+        real(path, text)
         raise KeyboardInterrupt
 
     arguments = ["fit", str(log), "--model", str(folder / "nominal.xml"), "--free", "delays", "--no-report"]
-    monkeypatch.setattr(command, "fit_robot", stopped)
-    assert run_command(build_parser(), arguments) == 130
-    assert run_command(build_parser(), arguments) == 130
-    assert started[0] is None
-    assert started[1].tolist() == [0.004, 0.03]
-    assert run_command(build_parser(), [*arguments, "--position-delay", "0.001"]) == 130
-    assert started[2] is None
-    monkeypatch.setattr(command, "fit_robot", real)
+    monkeypatch.setattr(command, "write_atomic", stopping)
+    for _ in range(2):
+        assert run_command(build_parser(), arguments) == 130
+        assert f"its last step is in {partial}, the same command goes on" in capsys.readouterr().err
+    reached = json.loads(partial.read_text())["place"]
+    assert reached["moves"]
     assert not (folder / "fits" / "robot.json").exists()
+    monkeypatch.setattr(command, "write_atomic", real)
+    assert run_command(build_parser(), arguments) == 0
+    kept = (folder / "fits" / "robot.json").read_bytes()
+    assert not partial.exists()
+    for content in ("{", json.dumps({"identity": "another", "place": reached})):
+        partial.write_text(content)
+        assert run_command(build_parser(), arguments) == 0
+        assert (folder / "fits" / "robot.json").read_bytes() == kept
 
 
 def test_a_quaternion_and_its_negative_are_one_orientation(robot_model_dir, recording):
