@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from frasa_rl.routine import Detector, Key, KeyframeError, Keyframes, Routine, Standing
-from frasa_sysid.calibration import write_atomic
+from frasa_sysid.calibration import read_yaml, write_atomic
 
 SCHEMA = "frasa.keyframes/1"
 
@@ -23,11 +23,9 @@ def load_keyframes(path: Path) -> Keyframes:
         KeyframeError: no such file, not YAML, or anything in it that is not as it should be.
     """
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        data = read_yaml(path, KeyframeError)
     except FileNotFoundError:
         raise KeyframeError(f"no file of keyframes at {path}") from None
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise KeyframeError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
     try:
         return _keyframes(data)
     except KeyframeError as error:

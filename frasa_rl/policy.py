@@ -19,13 +19,12 @@ import numpy.typing as npt
 import yaml
 
 from frasa_rl.runtime import DEPLOY_FILE, WEIGHTS_FILE, DeployError, check_layers, read_weights
-from frasa_sysid.calibration import InputError, plain, sha256_of, write_together
+from frasa_sysid.calibration import InputError, plain, read_yaml, sha256_of, write_together
 
 Array = npt.NDArray[np.float32]
 RUN_FILE = "run.yaml"
 ONNX_FILE = "policy.onnx"
 FOLDER = "policy"
-_LARGEST_RUN = 1 << 20
 _HASH = "weights_sha256"  # in run.yaml, older ones have none
 
 
@@ -117,24 +116,9 @@ def read_run(path: Path) -> dict[str, Any]:
         PolicyError: missing, or not a mapping in YAML.
     """
     try:
-        with path.open("rb") as file:
-            content = file.read(_LARGEST_RUN + 1)
-        if len(content) > _LARGEST_RUN:
-            raise PolicyError(f"{path} is larger than {_LARGEST_RUN >> 20} MiB")
-        run = yaml.load(content.decode("utf-8"), _NoAliases)  # a safe loader
+        run = read_yaml(path, PolicyError)
     except FileNotFoundError:
         raise PolicyError(f"no {path}: expected the folder of a run or of a policy") from None
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise PolicyError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(run, dict):
         raise PolicyError(f"{path}: expected a mapping")
     return run
-
-
-class _NoAliases(yaml.SafeLoader):
-    """Plain data only, and nothing by reference: ten lines of aliases can stand for more than fits into memory."""
-
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError("it holds an alias")
-        return super().compose_node(parent, index)

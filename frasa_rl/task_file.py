@@ -8,7 +8,7 @@
 """
 
 import difflib
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from types import UnionType
@@ -19,6 +19,7 @@ import yaml
 from frasa_rl.assumed import Assumed
 from frasa_rl.config import Task, TaskError
 from frasa_rl.task_text import SCHEMA, dump_task
+from frasa_sysid.calibration import read_yaml
 
 __all__ = ["SCHEMA", "dump_task", "load_task", "task_from"]
 
@@ -36,11 +37,9 @@ def load_task(path: Path, base: Task | None = None) -> Task:
         TaskError: missing, not YAML, an unknown field, another type, or a number that cannot be; all in one line.
     """
     try:
-        data = yaml.load(path.read_text(encoding="utf-8"), _Loader)  # a safe loader
+        data = read_yaml(path, TaskError)
     except FileNotFoundError:
         raise TaskError(f"no task file at {path}: expected YAML; robot_model/standup.yaml shows every field") from None
-    except (OSError, yaml.YAMLError, ValueError, RecursionError) as error:
-        raise TaskError(f"{path} cannot be read as YAML: {' '.join(str(error).split())}") from error
     return task_from(data, str(path), base)
 
 
@@ -63,17 +62,6 @@ def task_from(data: object, source: str, base: Task | None = None) -> Task:
         raise TaskError(f"{source}: schema is {schema!r}: expected {SCHEMA!r}")
     task: Task = _object(said, Task, base or Task(), _Place(source, ""))
     return task
-
-
-class _Loader(yaml.SafeLoader):
-    """Plain data only; a key that stands twice is an error, where YAML would silently take the last."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-        for key in keys:
-            if not isinstance(key, Hashable) or keys.count(key) > 1:
-                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} stands twice", node.start_mark)
-        return super().construct_mapping(node, deep)
 
 
 class _Place:

@@ -31,6 +31,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from frasa_sysid.calibration.bounded_read import read_limited
 from frasa_sysid.calibration.friction import LAWS, Friction
 from frasa_sysid.errors import InputError
 from frasa_sysid.servo import NOMINAL, Servo, servo
@@ -44,7 +45,7 @@ _OTHER_LAWS = ("xl330i", "erob80_100", "erob80_50", "unitree_go1")  # currents a
 _SCALES_GAIN = ("sts3215",)  # actuators that read `error_gain_ratio` and `max_velocity`
 _OWN_SPEED = 3400 * 2.0 * math.pi / 4096  # [rad/s] what BAM takes where `max_velocity` is left out
 _NO_SPEED = 100.0  # [rad/s] stands for "no limit": BAM lets nothing move faster
-_LARGEST_FILE = 1_000_000  # [bytes]
+_LARGEST_FILE = 2**20  # [bytes]
 _LARGEST = 1e6  # of any number: no servo is near it
 _AGREE = 1e-9  # relative difference within which kp and forcerange speak of one kt/R
 
@@ -232,9 +233,7 @@ def _left_out(stored: StoredFit, values: Mapping[str, float]) -> list[str]:
 
 def _parse(path: Path) -> dict[str, Any]:
     try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise InputError(f"{path}: larger than any BAM parameter file")
-        data = json.loads(path.read_bytes())
+        data = json.loads(read_limited(path, _LARGEST_FILE, InputError))
     except FileNotFoundError:
         raise InputError(f"no BAM parameter file at {path}") from None
     except (ValueError, RecursionError) as error:

@@ -83,15 +83,29 @@ def from_fields(source: str, text: Mapping[str, str]) -> BenchRecord:
             window=_window(text),
             rig=_rig(text),
             origin=origin,  # type: ignore[arg-type]
-            truth={str(key): float(value) for key, value in json.loads(text.get("truth") or "{}").items()},
-            extra=dict(json.loads(text.get("extra") or "{}")),
-            units={str(key): str(value) for key, value in json.loads(text.get("units") or "{}").items()},
-            faults=tuple(Fault(str(c), int(n), str(m)) for c, n, m in json.loads(text.get("faults") or "[]")),
+            truth={str(key): float(value) for key, value in _json(text, "truth", "{}").items()},
+            extra=_extra(_json(text, "extra", "{}")),
+            units={str(key): str(value) for key, value in _json(text, "units", "{}").items()},
+            faults=tuple(Fault(str(c), int(n), str(m)) for c, n, m in _json(text, "faults", "[]")),
         )
     except LogError as error:
         raise LogError(f"{where}: {error}") from error
-    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise LogError(f"{where} cannot be understood: {error}") from error
+
+
+def _json(text: Mapping[str, str], name: str, default: str) -> Any:  # noqa: ANN401 - whatever JSON holds
+    # A whole number that no float is like would raise far from here.
+    return json.loads(text.get(name) or default, parse_int=lambda one: int(one) if len(one) < 19 else float(one))
+
+
+def _extra(value: Any) -> dict[str, Any]:  # noqa: ANN401
+    """What has no field of its own; comparisons of clocks, which are added to, must be such."""
+    extra = dict(value)
+    clocks = extra.get("clocks", [])
+    if not isinstance(clocks, list) or not all(isinstance(one, dict) for one in clocks):
+        raise ValueError("'clocks' of extra is no list of objects")
+    return extra
 
 
 def _rig(text: Mapping[str, str]) -> RigFacts:

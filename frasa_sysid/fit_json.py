@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from frasa_sysid.calibration import sha256_of
+from frasa_sysid.calibration import read_limited, sha256_of
 from frasa_sysid.errors import InputError
 
 SCHEMA_M1, SCHEMA = "frasa.fit/1", "frasa.fit/2"  # the first knows Coulomb-viscous friction only
 SERVO, ROBOT = "servo", "robot"  # kinds; a file that names none is of a servo
-_LARGEST = 50_000_000  # [bytes]
+_LARGEST = 2**25  # [bytes]
 _LONGEST = 500  # characters of a text that is quoted elsewhere
 
 
@@ -22,9 +22,7 @@ def read_json(path: Path) -> tuple[dict[str, Any], str]:
         InputError: missing, or not a fit file.
     """
     try:
-        if path.stat().st_size > _LARGEST:
-            raise InputError(f"{path}: larger than any fit file")
-        content = path.read_bytes()
+        content = read_limited(path, _LARGEST, InputError)
         data = json.loads(content)
     except FileNotFoundError:
         raise InputError(f"no fit at {path}: make one with frasa-sysid fit LOG...") from None

@@ -8,7 +8,15 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from frasa_sysid.calibration import ModelError, Range, actuators_of, delayed_sensors, load_model, parameter
+from frasa_sysid.calibration import (
+    ModelError,
+    Range,
+    actuators_of,
+    delayed_sensors,
+    load_model,
+    load_spec,
+    parameter,
+)
 from frasa_sysid.calibration.parameters import SENSOR_FIELDS
 
 MARGIN = 1.1  # [1] of the longest delay of a range ...
@@ -65,7 +73,7 @@ def longest_delays(ranges: Mapping[str, Range], names: Mapping[str, float]) -> d
 def widened(nominal: Path, room: HistoryRoom) -> mujoco.MjModel:
     """The nominal model with room for delays: what a published one is held against."""
     plain = load_model(nominal)
-    spec = mujoco.MjSpec.from_file(str(nominal))
+    spec = load_spec(nominal)
     for field, count in room.sensors.items():
         for i in delayed_sensors(plain, field):
             spec.sensors[i].nsample, spec.sensors[i].interp = count, 1

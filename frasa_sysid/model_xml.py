@@ -1,6 +1,5 @@
 """The calibrated model as XML: the nominal file with what is changed written out, and the rest included."""
 
-import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
@@ -73,10 +72,9 @@ def parts_of(nominal: Path) -> list[Path]:
 
 
 def relocate_includes(root: etree._Element, before: Path, after: Path) -> None:
-    """Write the remaining includes relative to the folder the model will stand in."""
-    for include in root.iter("include"):
-        source = (before / (include.get("file") or "")).resolve()
-        include.set("file", Path(os.path.relpath(source, after.resolve())).as_posix())
+    """Write the other includes out where the model will stand in another folder: it may not reach outside of that."""
+    if before.resolve() != after.resolve():
+        _write_out(root, before, lambda _: True)
 
 
 def _remove(parent: etree._Element, child: etree._Element) -> None:

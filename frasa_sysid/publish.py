@@ -77,7 +77,7 @@ def publish(fits: Sequence[StoredFit], nominal: Path, out: Path, robot: StoredRo
     Args:
         fits: of servos; two may not claim one parameter. For Coulomb-viscous stand-ins: `as_m1` of them.
         nominal: the model they started from.
-        out: where the model will stand; includes are written relative to it.
+        out: where the model will stand; in another folder than the nominal one it includes no file.
         robot: a fit of the whole robot, which may stand on those of servos; see `claims`.
 
     Raises:

@@ -39,6 +39,7 @@ _POINTS = 101  # of the second, finer look along each lag
 _ROUNDS = 3  # of weighing samples anew
 _FOLLOWS = 0.98  # share of the duty's variance that the law must explain to be the firmware's
 _LEAST = 1e-4  # [s] half of the narrowest interval of a difference: what a bench in step with the firmware leaves
+_SLOWEST = 1000.0  # [ms] of an exchange on a bus
 _KNOWN = 0.002  # [s] width of an interval up to which the difference counts as told
 LONGEST_AGE = 0.1  # [s] that anybody may declare
 
@@ -205,7 +206,7 @@ def _bus_age(recordings: Sequence[Recording]) -> float | None:
     """Half of the longest exchange [s], where every log says how long its exchanges take."""
     clocks = [one.extra.get("clock") for one in recordings]
     times = [clock.get("exchange_ms") if isinstance(clock, dict) else None for clock in clocks]
-    known = [one for one in times if isinstance(one, int | float)]
+    known = [one for one in times if isinstance(one, int | float) and 0.0 <= one <= _SLOWEST]
     return 0.5e-3 * max(known) if known and len(known) == len(recordings) else None
 
 

@@ -158,6 +158,12 @@ class Fault:
     count: int
     message: str
 
+    def __post_init__(self) -> None:
+        # It may quote a log of a stranger, and is shown on a terminal.
+        if not self.message.isprintable():
+            line = "".join(one if one.isprintable() else " " for one in self.message)
+            object.__setattr__(self, "message", line)
+
 
 @dataclass(frozen=True)
 class Recording:

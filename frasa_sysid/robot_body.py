@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from frasa_sysid.calibration import actuators_of, load_model, servo_classes
+from frasa_sysid.calibration import actuators_of, load_model, load_spec, servo_classes
 from frasa_sysid.errors import ModelError
 from frasa_sysid.robot_truth import RobotTruth
 
@@ -108,7 +108,7 @@ def build(path: Path, truth: RobotTruth, joints: Joints, timestep: float) -> Bod
         joints: of that model.
         timestep: physics step [s].
     """
-    spec = mujoco.MjSpec.from_file(str(path))
+    spec = load_spec(path)
     # Tuples name actuators and keys have a size: they go first.
     for several in (spec.tuples, spec.keys, spec.sensors, spec.actuators):
         for one in list(several):
@@ -159,7 +159,7 @@ def bare(path: Path, held: bool, plain: bool = True) -> Any:  # noqa: ANN401
         held: with its trunk fixed in the air and no floor, if it has a free joint.
         plain: without sensors and command delays, which only make the state larger.
     """
-    spec = mujoco.MjSpec.from_file(str(path))
+    spec = load_spec(path)
     for one in [*spec.keys, *(spec.sensors if plain else ())]:
         spec.delete(one)
     if plain:

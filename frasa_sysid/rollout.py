@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from frasa_sysid.calibration import load_model, servo_classes, servo_law, sha256_of, stepping
+from frasa_sysid.calibration import load_model, load_spec, servo_classes, servo_law, sha256_of, stepping
 from frasa_sysid.calibration.apply import LEAST_FRICTION
 from frasa_sysid.errors import ModelError
 from frasa_sysid.kernel import slew_limited
@@ -206,7 +206,7 @@ class BenchSimulator:
 def _with_law(model_path: Path) -> mujoco.MjModel:
     """The bench model with room for the coefficients of its servo's friction law."""
     plain = load_model(model_path)
-    spec = mujoco.MjSpec.from_file(str(model_path))
+    spec = load_spec(model_path)
     spec.add_numeric(name=servo_classes(plain)[0] + servo_law.SUFFIX, size=servo_law.NUMBERS, data=_NO_FRICTION)
     model = spec.compile()
     servo_law.install()

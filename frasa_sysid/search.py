@@ -14,13 +14,15 @@ from typing import Any
 import numpy as np
 from cmaes import CMA
 
-from frasa_sysid.calibration import write_atomic
+from frasa_sysid.calibration import read_limited, write_atomic
+from frasa_sysid.errors import InputError
 from frasa_sysid.recording import FloatArray
 
 _SIGMA = 0.1  # first step size as a share of the cube: nominal values are a guess, not a coin toss
 _STALL = 12  # generations without progress after which the search has converged
 _PROGRESS = 2e-4  # relative improvement that counts as progress
 _SAVE_EVERY = 0.5  # [s] between writes of a checkpoint
+_LARGEST = 2**26  # [bytes] of a checkpoint
 _MARGIN = 0.01  # a start on a bound is moved inside by this share
 
 Costs = Callable[[list[FloatArray]], list[float]]
@@ -164,14 +166,14 @@ class _Checkpoint:
 
 def _load(path: Path | None) -> dict[str, list[list[float]]]:
     """Costs of earlier searches by identity; nothing when there are none."""
-    if path is None or not path.is_file():
+    if path is None or not path.exists():
         return {}
     try:
         found = {
             str(identity): [[float(cost) for cost in row] for row in rows]
-            for identity, rows in json.loads(path.read_text(encoding="utf-8"))["searches"].items()
+            for identity, rows in json.loads(read_limited(path, _LARGEST, InputError))["searches"].items()
         }
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError, InputError):
         # A checkpoint is only a shortcut: a broken one costs time, never the result.
         return {}
     return {identity: rows for identity, rows in found.items() if np.isfinite([c for row in rows for c in row]).all()}

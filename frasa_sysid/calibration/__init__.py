@@ -18,6 +18,7 @@ from frasa_sysid.calibration.apply import (
     servo_classes,
     trunk_of,
 )
+from frasa_sysid.calibration.bounded_read import read_limited
 from frasa_sysid.calibration.cluster import dask_client
 from frasa_sysid.calibration.command_line import (
     add_json_flag,
@@ -58,6 +59,7 @@ from frasa_sysid.calibration.parameters import (
     Parameter,
     parameter,
 )
+from frasa_sysid.calibration.plain_yaml import read_yaml
 from frasa_sysid.calibration.ranges import Calibration, Range
 
 __all__ = [
@@ -100,6 +102,8 @@ __all__ = [
     "plain",
     "read",
     "read_calibration",
+    "read_limited",
+    "read_yaml",
     "run_command",
     "say",
     "servo_classes",

@@ -5,11 +5,19 @@ what was expected and what to do. Only the command lines turn them into one line
 of text and an exit status; mistakes in frasa itself keep their traceback.
 """
 
+_LONGEST = 1500  # characters
+
 
 class FrasaError(Exception):
     """Base of all errors a user can act on."""
 
     exit_code = 1
+
+    def __str__(self) -> str:
+        """What was said, in one printable line: parts of it may be quoted from a file of a stranger."""
+        text = super().__str__()
+        line = text if text.isprintable() else "".join(one if one.isprintable() else " " for one in text)
+        return line if len(line) <= _LONGEST else f"{line[: _LONGEST - 200]} ... {line[-195:]}"
 
 
 class UsageError(FrasaError):

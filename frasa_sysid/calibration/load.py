@@ -5,13 +5,16 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import yaml
 
 from frasa_sysid.calibration import servo_law
 from frasa_sysid.calibration.errors import CalibrationError, ModelError
+from frasa_sysid.calibration.model_file import check_model_file
+from frasa_sysid.calibration.plain_yaml import read_yaml
 from frasa_sysid.calibration.ranges import SCHEMA, Calibration, Range
 
 RANGES_FILE = "randomization.yaml"
+SHORTEST_STEP, LONGEST_STEP = 1e-5, 1.0  # [s]
+_REFUSED = (ValueError, mujoco.FatalError, mujoco.UnexpectedError)  # what MuJoCo raises of a model
 
 
 def load_model(path: Path) -> mujoco.MjModel:
@@ -30,11 +33,12 @@ def load_spec(path: Path) -> mujoco.MjSpec:
     Raises:
         ModelError: no such file, or MuJoCo cannot read it (MuJoCo's own words are kept).
     """
-    if not path.is_file():
+    if not path.exists() or path.is_dir():
         raise ModelError(f"no model at {path}: expected a MuJoCo XML file")
+    check_model_file(path)
     try:
         return mujoco.MjSpec.from_file(str(path))
-    except ValueError as error:
+    except _REFUSED as error:
         raise ModelError(f"{path}: MuJoCo cannot compile it: {' '.join(str(error).split())}") from error
 
 
@@ -46,8 +50,12 @@ def compile_model(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
     """
     try:
         model: mujoco.MjModel = spec.compile()
-    except ValueError as error:
+    except _REFUSED as error:
         raise ModelError(f"{path}: MuJoCo cannot compile it: {' '.join(str(error).split())}") from error
+    if not SHORTEST_STEP <= model.opt.timestep <= LONGEST_STEP:
+        raise ModelError(
+            f"{path}: timestep is {model.opt.timestep:g} s, expected {SHORTEST_STEP:g} to {LONGEST_STEP:g} s"
+        )
     if servo_law.has_law(model):
         try:
             servo_law.check(model)
@@ -100,11 +108,9 @@ def read_calibration(path: Path) -> Calibration:
         CalibrationError: missing, not YAML, another schema, or a wrong field (named).
     """
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        data = read_yaml(path, CalibrationError)
     except FileNotFoundError:
         raise CalibrationError(f"no ranges file at {path}: run frasa-sysid publish") from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise CalibrationError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(data, dict) or data.get("schema") != SCHEMA:
         raise CalibrationError(f"{path}: expected schema '{SCHEMA}'")
     try:

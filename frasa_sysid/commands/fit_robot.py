@@ -15,10 +15,10 @@ from rich.table import Table
 
 from frasa_sysid import stored_fit, stored_robot_fit
 from frasa_sysid.bench import inputs_of, origin_of
-from frasa_sysid.calibration import alone, load_model, number, read, say, servo_classes, write_atomic
+from frasa_sysid.calibration import alone, load_model, number, read, read_limited, say, servo_classes, write_atomic
 from frasa_sysid.commands.bench import people_console
 from frasa_sysid.commands.publish import PATIENCE_S, publish_files
-from frasa_sysid.errors import InterruptedRunError, LogError, UsageError
+from frasa_sysid.errors import InputError, InterruptedRunError, LogError, UsageError
 from frasa_sysid.fit import versions
 from frasa_sysid.fit_json import read_json
 from frasa_sysid.fit_record import log_facts
@@ -192,9 +192,9 @@ def _resumed(partial: Path, identity: str) -> Place | None:
     if not partial.exists():
         return None
     try:
-        data = json.loads(partial.read_text(encoding="utf-8"))
+        data = json.loads(read_limited(partial, 2**26, InputError))
         return place_from(data["place"]) if data["identity"] == identity else None
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError, InputError):
         # It is only a shortcut: a broken one costs time, never the result.
         return None
 

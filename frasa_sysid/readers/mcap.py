@@ -33,6 +33,7 @@ from frasa_sysid.readers.sources import Unit, check_source
 from frasa_sysid.recording import Clock, Fault, Recording, RigFacts, Signal
 
 COMPARED: tuple[tuple[Clock, Clock], ...] = (("log", "header"), ("log", "publish"), ("publish", "header"))
+MOST_RUNS = 5000  # of a file; each is looked for in all messages
 MAIN_TOPICS = ("/joint_states", "/joint_command", "/imu/data")
 
 
@@ -194,6 +195,8 @@ def _bench_records(path: Path, report: StreamReport) -> list[BenchRecord]:
         raise LogError(
             f"{path} is damaged: its index names {indexed} {bench_record.NAME} records, {len(found)} were found"
         )
+    if len(found) > MOST_RUNS:
+        raise LogError(f"{path}: {len(found)} {bench_record.NAME} records, expected at most {MOST_RUNS}; split the log")
     records = [bench_record.from_fields(str(path), one) for one in found]
     if not records:
         return [BenchRecord("", None, RigFacts(), "real", {}, {}, {}, ())]

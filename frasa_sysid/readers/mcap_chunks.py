@@ -146,7 +146,8 @@ def _unpack(chunk: Chunk) -> bytes:
     if chunk.compression == "":
         return chunk.data
     if chunk.compression == "lz4":
-        data: bytes = lz4.frame.decompress(chunk.data)
+        # One byte more than is claimed shows a false claim, and no more than that is unpacked.
+        data = bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=chunk.uncompressed_size + 1))
     else:
         # The frame's own claim decides how much memory is taken: look at it first.
         if zstandard.frame_content_size(chunk.data) > CHUNK_LIMIT:
@@ -166,6 +167,7 @@ def _unpack_start(chunk: Chunk) -> bytes:
             return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=CHUNK_LIMIT))
         if len(chunk.data) < 18 or zstandard.frame_content_size(chunk.data) > CHUNK_LIMIT:
             return b""
-        return zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data)
+        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
+            return bytes(reader.read(min(chunk.uncompressed_size, CHUNK_LIMIT)))
     except PARSE_ERRORS:
         return b""

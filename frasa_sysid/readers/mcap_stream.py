@@ -23,7 +23,7 @@ from frasa_sysid.errors import LogError
 from frasa_sysid.readers.mcap_chunks import HEAD, PARSE_ERRORS, Frame, Messages, chunk_records, parse, stream_of
 
 MAGIC = b"\x89MCAP0\r\n"
-RECORD_LIMIT = 2**30  # bytes; a bench log's largest record is a few MB
+RECORD_LIMIT = 2**28  # bytes; a bench log's largest record is a few MB, an attached original 64 MiB
 
 
 @dataclass

@@ -1,10 +1,10 @@
 """One entry of a map: a topic's field, or a column, that becomes a signal."""
 
 import difflib
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from frasa_sysid.errors import InputError
@@ -14,6 +14,7 @@ from frasa_sysid.recording import FloatArray
 
 KEYS = ("topic", "field", "column", "joint", "joints", "signal", "unit", "scale", "zero", "ticks_per_turn")
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+LARGEST = 1e300  # of a number; what is not finite is larger or compares with nothing
 INSTEAD = {"N m": "torque", "A": "current"}  # what an effort of a known unit is called
 
 
@@ -45,12 +46,29 @@ class Entry:
     def match(self, text: str) -> str | None:
         """What `*` stands for in a topic or column of that name, empty without `*`; None where it does not match."""
         pattern = self.topic if self.topic is not None else self.column
-        found = re.fullmatch("(.+)".join(re.escape(part) for part in (pattern or "").split("*")), text)
+        found = _pattern(pattern or "").fullmatch(text)
         return None if found is None else "".join(found.groups())
 
     def convert(self, values: FloatArray) -> FloatArray:
         """Values of the log in the SI unit."""
         return (values - self.zero) * self.factor
+
+
+@lru_cache(maxsize=256)
+def _pattern(text: str) -> "re.Pattern[str]":
+    """Of a name with `*`; each but the last takes as little as it can and is not tried again, so that it ends."""
+    first, *rest = (re.escape(part) for part in text.split("*"))
+    if not rest:
+        return re.compile(first)
+    return re.compile(first + "".join(f"(?>(.+?){part})" for part in rest[:-1]) + f"(.+){rest[-1]}", re.DOTALL)
+
+
+def shown(value: object) -> str:
+    """Whatever a map holds, short."""
+    try:
+        return repr(value)[:80]
+    except (ValueError, RecursionError):  # Python does not write out whole numbers of thousands of digits
+        return "a number of thousands of digits"
 
 
 def make_entry(where: str, row: Mapping[str, Any]) -> Entry:
@@ -87,9 +105,9 @@ def check_keys(where: str, table: Mapping[str, Any], known: tuple[str, ...]) -> 
     """
     for key in table:
         if key not in known:
-            near = difflib.get_close_matches(key, known, 1)
+            near = difflib.get_close_matches(key[:60], known, 1)
             hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}"
-            raise InputError(f"{where}: unknown key '{key}'; {hint}")
+            raise InputError(f"{where}: unknown key '{key[:60]}'; {hint}")
 
 
 def ordered(signal: str, columns: Sequence[str]) -> list[int] | None:
@@ -116,7 +134,7 @@ def text_of(where: str, table: Mapping[str, Any], key: str) -> str | None:
     """
     value = table.get(key)
     if value is not None and not (isinstance(value, str) and value):
-        raise InputError(f"{where}: {key} = {value!r}, expected text in quotes")
+        raise InputError(f"{where}: {key} = {shown(value)}, expected text in quotes")
     return value
 
 
@@ -129,8 +147,8 @@ def number_of(where: str, table: Mapping[str, Any], key: str) -> float | None:
     value = table.get(key)
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{where}: {key} = {value!r}, expected a number")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not -LARGEST <= value <= LARGEST:
+        raise InputError(f"{where}: {key} = {shown(value)}, expected a number")
     return float(value)
 
 
@@ -163,7 +181,9 @@ def _joints(where: str, row: Mapping[str, Any], signal: str, column: str | None)
         return names
     if joints is None or (isinstance(joints, str) and joints and column is None):
         return joints
-    raise InputError(f"{where}: joints = {joints!r}, expected names" + ("" if column else " or the field with them"))
+    raise InputError(
+        f"{where}: joints = {shown(joints)}, expected names" + ("" if column else " or the field with them")
+    )
 
 
 def _unit(where: str, row: Mapping[str, Any], signal: str) -> tuple[str, float]:

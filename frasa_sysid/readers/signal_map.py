@@ -25,11 +25,13 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
+from frasa_sysid.calibration.bounded_read import read_limited
 from frasa_sysid.errors import InputError
 from frasa_sysid.readers.signal_entry import Entry, check_keys, make_entry, number_of, text_of
 from frasa_sysid.readers.units import TIME_UNITS
 
 FOLDER = "maps"
+LARGEST = 2**16  # bytes; a map of all joints of a humanoid is a few kB
 TIME_KEYS = ("column", "field", "unit", "rate", "run")
 TOP_KEYS = ("description", "time", "signal", "joints")
 
@@ -104,8 +106,8 @@ def load_map(name: str) -> SignalMap:
         InputError: neither, or a map that cannot be used: the message says which entry, what was found and expected.
     """
     path = Path(name)
-    if path.is_file():
-        return parse_map(name, path.read_bytes(), builtin=False)
+    if path.exists():
+        return parse_map(name, read_limited(path, LARGEST, InputError), builtin=False)
     known = builtin_maps()
     if name in known:
         return parse_map(name, (_folder() / f"{name}.toml").read_bytes(), builtin=True)
@@ -117,7 +119,7 @@ def parse_map(name: str, content: bytes, builtin: bool) -> SignalMap:
     where = f"map {name}"
     try:
         table = tomllib.loads(content.decode("utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # of syntax, of characters, of numbers and dates that cannot be
         raise InputError(f"{where} is not TOML: {error}") from error
     check_keys(where, table, TOP_KEYS)
     rows = table.get("signal")

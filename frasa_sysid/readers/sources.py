@@ -8,7 +8,7 @@ from typing import Literal
 from frasa_sysid.errors import LogError
 
 Unit = Literal["auto", "rad", "deg"]  # of joint angles, as the user declares it; auto: radians, checked
-TEXT_LIMIT = 2**29  # bytes, unpacked
+TEXT_LIMIT = 2**26  # bytes, unpacked; as lists of numbers they take twenty times as many
 GZIP_MAGIC = b"\x1f\x8b"
 
 

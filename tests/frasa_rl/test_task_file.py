@@ -129,9 +129,9 @@ MISTAKES = [
     ("schema: frasa.task/9", "schema is 'frasa.task/9': expected 'frasa.task/1'"),
     ("- 1", "found a list, expected fields of a task"),
     ("", "found nothing (null), expected fields of a task"),
-    ("a: [", "cannot be read as YAML"),
-    ("!!python/object/apply:os.getcwd []", "cannot be read as YAML"),
-    ("joints: &a [*a]", "joints[0]: found a list, expected a mapping of name"),
+    ("a: [", "is not YAML"),
+    ("!!python/object/apply:os.getcwd []", "is not YAML"),
+    ("joints: &a [*a]", "it holds an alias (*a): write the value out"),
     ("episode_s: 1" + "0" * 400, "episode_s: a number of 401 digits"),
 ]
 
@@ -184,7 +184,7 @@ def test_a_missing_file_says_where_to_look(tmp_path):
     """And a folder is no file."""
     with pytest.raises(TaskError, match=r"no task file at .*robot_model/standup\.yaml shows every field"):
         load_task(tmp_path / "none.yaml")
-    with pytest.raises(TaskError, match="cannot be read"):
+    with pytest.raises(TaskError, match="is a folder, expected a file"):
         load_task(tmp_path)
 
 
