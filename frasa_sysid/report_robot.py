@@ -27,6 +27,7 @@ class RobotPage:
         compared: `before` the fit and `fitted`, over all of the logs.
         servos: whose bench fits were frozen.
         held_from: by log, when the part begins that was held out [s].
+        parts: which parts of which logs were fitted, in words; empty where all of them were.
     """
 
     fit: RobotFit
@@ -34,6 +35,7 @@ class RobotPage:
     compared: Mapping[str, Sequence[Compared]]
     servos: Sequence[str] = ()
     held_from: Mapping[str, float] = field(default_factory=dict)
+    parts: str = ""
 
 
 def write_robot_report(path: Path, one: RobotPage) -> Path | None:
@@ -57,7 +59,7 @@ def write_robot_report(path: Path, one: RobotPage) -> Path | None:
 
 def _parts(one: RobotPage) -> list[Html]:
     return [
-        tables.summary(one.fit, one.record, one.servos),
+        tables.summary(one.fit, one.record, one.servos, one.parts),
         section("Numbers", tables.number_table(one.fit, one.record), tables.physical_delays(one.fit)),
         section("What to record next", tables.record_next(one.record)),
         section("Errors by channel", tables.error_table(one.fit)),

@@ -36,7 +36,7 @@ _STAGES = {
 _BASES = {"fixed": "held by the trunk", "floating": "on the ground", "both": "held and on the ground"}
 
 
-def summary(fit: RobotFit, record: RobotFitRecord, servos: Sequence[str]) -> Html:
+def summary(fit: RobotFit, record: RobotFitRecord, servos: Sequence[str], parts: str = "") -> Html:
     """What was fitted and how good it is, in plain words."""
     problem = fit.problem
     seconds = sum(run.steps for run in problem.runs) * fit.timestep
@@ -45,6 +45,8 @@ def summary(fit: RobotFit, record: RobotFitRecord, servos: Sequence[str]) -> Htm
         f"A robot of {len(problem.runs[0].joints)} joints, {_BASES[record.base]}: {len(problem.free)} numbers were "
         f"fitted to {count} {'log' if count == 1 else 'logs'} of {seconds:.0f} s ({record.origin})."
     )
+    if parts:
+        words += f" The logs are longer; these are the parts in which the joints move most: {parts}."
     if servos:
         words += f" The bench fits of {', '.join(servos)} were frozen: scales multiply what they say."
     lines = [tag("p", words), *(tag("p", _sentence(one)) for one in record.not_in_model)]

@@ -11,12 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from frasa_sysid.inspection import quantum
-from frasa_sysid.recording import FloatArray
+from frasa_sysid.recording import FloatArray, Recording
 from frasa_sysid.robot_candidate import Candidate
 from frasa_sysid.robot_rig import Channel
 from frasa_sysid.robot_simulator import Piece, RobotSimulator
 
 CORRELATION_TIME = 0.05  # [s] within which residuals of one column count as one sample
+FASTEST = 200.0  # Hz; of a channel read faster every second sample is compared, or every third, ...: a tenth of
+# the correlation time is close enough, and memory and time are what a kilohertz would cost
 CLUSTER = 1.0  # [s]; residuals of one joint that are closer are not taken as independent evidence
 # [s] for which an attitude filter's error lasts (a guess; noise units follow what is left): left in, it would hide the
 # age of an orientation in a slow error that any quick motion tells apart.
@@ -67,6 +69,28 @@ class Samples:
     names: tuple[str, ...]
 
 
+def stride_of(t: FloatArray) -> int:
+    """Of how many samples one is compared.
+
+    Args:
+        t: their times [s], shape (T,).
+    """
+    return max(1, int(1.0 / (FASTEST * float(np.median(np.diff(t)))))) if t.size > 1 else 1
+
+
+def residual_count(recording: Recording, base: str | None = None) -> int:
+    """How many residuals a recording gives at most.
+
+    Args:
+        recording: of a robot.
+        base: where the log does not say.
+    """
+    names = ["position", "velocity"]
+    names += [] if (base or recording.rig.base) == "fixed" else ["gyro", "orientation"]
+    signals = [recording.signals[name] for name in names if name in recording.signals]
+    return sum(one.y.size // stride_of(one.t) for one in signals)
+
+
 class Comparison:
     """Residuals of pieces of runs of one kind of base.
 
@@ -100,6 +124,7 @@ class Comparison:
         for name in self._channels(piece):
             channel = piece.run.channels[name]
             rows = np.flatnonzero((channel.t >= piece.begin * step) & (channel.t < piece.end * step))
+            rows = rows[:: stride_of(channel.t)]
             found.append((name, rows, 2 if name == "orientation" else channel.y.shape[1]))
         return found
 
@@ -215,7 +240,8 @@ def noise_units(residuals: FloatArray, layout: Layout) -> FloatArray:
 
 
 def _thinning(channel: Channel, name: str) -> float:
-    return 1.0 if name in MEMORY else max(CORRELATION_TIME / float(np.median(np.diff(channel.t))), 1.0)
+    period = stride_of(channel.t) * float(np.median(np.diff(channel.t)))
+    return 1.0 if name in MEMORY else max(CORRELATION_TIME / period, 1.0)
 
 
 def _memory(t: FloatArray, width: int, lasting: float | None) -> tuple[IntArray, FloatArray]:

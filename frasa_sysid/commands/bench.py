@@ -10,8 +10,8 @@ from rich.console import Console
 
 from frasa_sysid.bench import BENCH_MODEL, NOMINAL_MODEL, Bench, bench_of
 from frasa_sysid.commands.faults import show_faults
+from frasa_sysid.commands.reading import add_reading_arguments, read_within
 from frasa_sysid.errors import LogError, UsageError
-from frasa_sysid.readers import read_log
 from frasa_sysid.recording import Recording
 
 SERVO_HELP = "servo type where the logs do not say, or a table of your own (.toml): see frasa-sysid servos"
@@ -31,6 +31,7 @@ def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", type=Path, default=NOMINAL_MODEL, help="nominal robot model [%(default)s]")
     parser.add_argument("--bench-model", type=Path, help="pendulum model [bench_pendulum.xml beside --model]")
     parser.add_argument("--clock", choices=("auto", "header", "publish", "log"), default="auto", help="which stamps")
+    add_reading_arguments(parser)
     parser.add_argument("--threads", type=int, help="simulation threads [one per core]")
     for name, unit in _FACTS.items():
         help_text = f"[{unit}] for logs that do not carry it"
@@ -47,9 +48,7 @@ def read_logs(args: argparse.Namespace) -> list[Recording]:
     if args.threads is not None and args.threads < 1:
         raise UsageError(f"--threads {args.threads}: expected 1 or more")
     facts = {name: getattr(args, name) for name in _FACTS if getattr(args, name) is not None}
-    recordings = [
-        _completed(recording, facts) for path in _files(args.logs) for recording in read_log(path, args.clock)
-    ]
+    recordings = [_completed(recording, facts) for recording in read_within(_files(args.logs), args)]
     _check_names(recordings)
     if any(recording.faults for recording in recordings):
         show_faults(people_console(), recordings)

@@ -18,7 +18,10 @@ from frasa_sysid.bench import inputs_of, origin_of
 from frasa_sysid.calibration import alone, load_model, number, read, read_limited, say, servo_classes, write_atomic
 from frasa_sysid.commands.bench import people_console
 from frasa_sysid.commands.publish import PATIENCE_S, publish_files
+from frasa_sysid.commands.reading import share_of_memory
 from frasa_sysid.errors import InputError, InterruptedRunError, LogError, UsageError
+from frasa_sysid.excerpt import liveliest
+from frasa_sysid.excerpt import words as said_of
 from frasa_sysid.fit import versions
 from frasa_sysid.fit_json import read_json
 from frasa_sysid.fit_record import log_facts
@@ -32,10 +35,13 @@ from frasa_sysid.robot_compare import compare_runs, held_from, last_share, of_fo
 from frasa_sysid.robot_fit import RobotFit, fit_robot, frozen_model
 from frasa_sysid.robot_fit_record import Interval, RobotEstimate, RobotFitRecord, base_numbers, with_products
 from frasa_sysid.robot_problem import DEFAULT_GROUPS, GROUPS, default_groups
+from frasa_sysid.robot_residuals import residual_count
 from frasa_sysid.robot_rig import is_robot
 from frasa_sysid.robot_trail import Place, Trail, place_from
 from frasa_sysid.stored_fit import StoredFit
 
+RESIDUALS = 2**19  # compared with the usual memory: the derivatives by 28 numbers take 60 times as many
+CHOOSE = "--between FROM TO chooses another, --memory GB makes room for more"
 SUM_ONLY = (
     "command delay and delay of positions are known as a sum only: positions are taken to be {age:g} ms old, "
     "all delays are relative to that (--position-delay)"
@@ -73,6 +79,7 @@ def fit_robot_logs(args: argparse.Namespace, recordings: Sequence[Recording]) ->
         LogError, UsageError, ModelError: bad input.
         InterruptedRunError: Ctrl-C; the same command goes on from the last step.
     """
+    recordings = _within_memory(args, recordings)
     _check(args, recordings)
     out: Path = args.out or args.model.parent / "fits" / "robot.json"
     with alone(out):
@@ -94,7 +101,7 @@ def _fit_alone(args: argparse.Namespace, recordings: Sequence[Recording], out: P
     show_robot(found, record)
     outputs: dict[str, Any] = {"fit": out, "model": None, "ranges": None, "report": None}
     if not args.no_report:
-        outputs["report"] = _report(args, fits, found, record, out.with_suffix(".html"))
+        outputs["report"] = _report(args, fits, found, record, out.with_suffix(".html"), said_of(recordings))
     if args.publish:
         outputs["model"] = args.model.with_name("calibrated.xml")
         outputs["ranges"] = _publish(args, fits, found, out, outputs["model"])
@@ -104,10 +111,18 @@ def _fit_alone(args: argparse.Namespace, recordings: Sequence[Recording], out: P
     return {**data, "outputs": outputs}
 
 
-def _check(args: argparse.Namespace, recordings: Sequence[Recording]) -> None:
+def _within_memory(args: argparse.Namespace, recordings: Sequence[Recording]) -> list[Recording]:
+    """The logs, or of longer ones the parts in which the robot moves most; which, is said."""
     single = [one.name for one in recordings if not is_robot(one)]
     if single:
         raise LogError(f"{single[0]} is of one joint and the others are of a whole robot; fit them apart")
+    kept = liveliest(recordings, lambda one: residual_count(one, args.base), round(RESIDUALS * share_of_memory(args)))
+    if told := said_of(kept):
+        say(f"fitted is a part, that in which the joints move most: {told}; {CHOOSE}")
+    return kept
+
+
+def _check(args: argparse.Namespace, recordings: Sequence[Recording]) -> None:
     found = [one for recording in recordings for one in checks(recording)]
     for one in found:
         say(f"{one.recording}: {one.message}")
@@ -178,7 +193,7 @@ def _identity(
     args: argparse.Namespace, recordings: Sequence[Recording], fits: Sequence[StoredFit], groups: Sequence[str]
 ) -> str:
     facts = [
-        sorted(one.sha256 + one.name for one in recordings),
+        sorted(f"{one.sha256}{one.name}{one.duration:.6f}" for one in recordings),
         [one.sha256 for one in fits],
         [*groups, str(args.base), args.position_delay, args.hold_out_share],
         mark_of(load_model(args.model)).fingerprint,
@@ -222,6 +237,7 @@ def _record(
         _pair(facts.get("delay_jitter")),
         (SUM_ONLY.format(age=args.position_delay * 1e3),),
         {"misfit": _misfit(found), "physical_delays": _physical(found), "seed": args.seed, "versions": versions(),
+         "parts": said_of(recordings),
          "converged": found.settled.converged, "evaluations": found.settled.evaluations},
     )  # fmt: skip
 
@@ -235,14 +251,19 @@ def _declared(args: argparse.Namespace, before: float) -> list[RobotEstimate]:
 
 
 def _report(
-    args: argparse.Namespace, fits: Sequence[StoredFit], found: RobotFit, record: RobotFitRecord, path: Path
+    args: argparse.Namespace,
+    fits: Sequence[StoredFit],
+    found: RobotFit,
+    record: RobotFitRecord,
+    path: Path,
+    parts: str,
 ) -> Path | None:
     runs, share = found.problem.runs, args.hold_out_share
     with tempfile.TemporaryDirectory() as folder:
         frozen = frozen_model(args.model, fits, Path(folder))
         compared = {one.name: compare_runs(one, runs, last_share(0.0), args.threads) for one in of_found(found, frozen)}
     held = held_from(runs, found.timestep, share) if share else {}
-    return write_robot_report(path, RobotPage(found, record, compared, [one.servo for one in fits], held))
+    return write_robot_report(path, RobotPage(found, record, compared, [one.servo for one in fits], held, parts))
 
 
 def _publish(args: argparse.Namespace, fits: Sequence[StoredFit], found: RobotFit, out: Path, model_path: Path) -> Path:

@@ -14,12 +14,12 @@ from rich.table import Table
 from frasa_sysid.calibration.command_line import add_json_flag
 from frasa_sysid.commands.bench import SERVO_HELP
 from frasa_sysid.commands.faults import show_faults
-from frasa_sysid.commands.log_health import all_checks, clock_report, show_checks, show_clocks
+from frasa_sysid.commands.log_health import all_checks, clock_report, show_checks, show_clocks, show_whole_logs
+from frasa_sysid.commands.reading import add_reading_arguments, read_within
 from frasa_sysid.finding import Finding
 from frasa_sysid.fit_json import ROBOT
 from frasa_sysid.identifiability import bench_findings, next_logs
 from frasa_sysid.inspection import SignalSummary, is_bench, summarise
-from frasa_sysid.readers import read_log
 from frasa_sysid.readers.effort import UNDECLARED, undeclared
 from frasa_sysid.recording import Recording, Signal
 from frasa_sysid.robot_findings import robot_findings
@@ -43,6 +43,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument(
         "--clock", choices=("auto", "header", "publish", "log"), default="auto", help="which stamps to use"
     )
+    add_reading_arguments(parser)
     parser.add_argument("--servo", metavar="NAME_OR_TABLE", help=SERVO_HELP)
     parser.add_argument("--verbose", action="store_true", help="every recording by itself, however many")
     add_json_flag(parser)
@@ -56,7 +57,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         LogError: a log that cannot be read.
         InputError, UsageError: an unknown servo, or a table that cannot be used.
     """
-    recordings = [recording for path in args.logs for recording in read_log(path, args.clock)]
+    recordings = read_within(args.logs, args)
     servo = find_table(args.servo).servo if args.servo else None
     if servo is not None:
         recordings = [replace(one, rig=replace(one.rig, servo=servo.name)) for one in recordings]
@@ -67,6 +68,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             _show_recording(console, recording)
     else:
         _show_groups(console, recordings)
+    show_whole_logs(console, recordings)
     show_faults(console, recordings)
     if efforts := undeclared(recordings):
         console.print(UNDECLARED.format(count=efforts), markup=False, soft_wrap=True)
@@ -107,6 +109,7 @@ def _describe(recording: Recording) -> dict[str, Any]:
         "truth": dict(recording.truth),
         "signals": [asdict(summarise(signal)) for signal in recording.signals.values()],
         "faults": [asdict(fault) for fault in recording.faults],
+        **{name: recording.extra[name] for name in ("excerpt", "whole_log") if name in recording.extra},
     }
 
 

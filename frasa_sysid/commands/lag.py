@@ -14,11 +14,11 @@ from rich.table import Table
 
 from frasa_sysid.calibration.command_line import add_json_flag, say
 from frasa_sysid.calibration.files import write_atomic
+from frasa_sysid.commands.reading import add_reading_arguments, read_within
 from frasa_sysid.errors import LogError, UsageError
 from frasa_sysid.lag import LONGEST, Lag, lags
 from frasa_sysid.lag_joint import Joint, joint_lags
 from frasa_sysid.lag_page import lag_page
-from frasa_sysid.readers import read_log
 from frasa_sysid.recording import Recording
 
 SCHEMA = "frasa.lag/1"
@@ -51,6 +51,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument(
         "--clock", choices=("auto", "header", "publish", "log"), default="auto", help="which stamps to use"
     )
+    add_reading_arguments(parser)
     parser.add_argument("--verbose", action="store_true", help="every log by itself, however many")
     parser.add_argument("--report", type=Path, metavar="HTML", help="write a page with all of it")
     add_json_flag(parser)
@@ -66,7 +67,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     """
     if not LIMITS[0] <= args.longest <= LIMITS[1]:
         raise UsageError(f"--longest {args.longest:g}: expected {LIMITS[0]:g} to {LIMITS[1]:g} s")
-    recordings = [recording for path in args.logs for recording in read_log(path, args.clock)]
+    recordings = read_within(args.logs, args)
     found = _found(recordings, args)
     joints = joint_lags(found)
     console = Console(stderr=True, highlight=False)

@@ -5,6 +5,7 @@ from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
+from rich.table import Table
 
 from frasa_sysid.clocks import jitter
 from frasa_sysid.joint_checks import Check, checks
@@ -51,6 +52,22 @@ def clock_words(one: Mapping[str, Any]) -> str:
     except (KeyError, TypeError, ValueError):
         return ""
     return text
+
+
+def show_whole_logs(console: Console, recordings: Sequence[Recording]) -> None:
+    """Print what logs are as a whole of which parts were kept."""
+    for recording in recordings:
+        whole = recording.extra.get("whole_log")
+        if not isinstance(whole, dict):
+            continue
+        table = Table(title=escape(f"{recording.source}, all of it"), title_justify="left", title_style="bold")
+        for heading in ("signal", "samples", "time s", "longest step ms", "range", "not finite"):
+            table.add_column(heading, justify="left" if heading == "signal" else "right")
+        for name, one in whole.items():
+            extent = f"{one['low']:.3g}..{one['high']:.3g}"
+            cells = (f"{one['seconds']:.1f}", f"{1e3 * one['longest_step_s']:.3g}", extent, str(one["not_finite"]))
+            table.add_row(escape(name), str(one["samples"]), *cells)
+        console.print(table)
 
 
 def show_checks(console: Console, found: Sequence[Check]) -> None:

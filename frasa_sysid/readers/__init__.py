@@ -9,20 +9,22 @@ from pathlib import Path
 from typing import Literal
 
 from frasa_sysid.errors import LogError
+from frasa_sysid.readers.kept_windows import Limit
 from frasa_sysid.readers.mcap import read_mcap
 from frasa_sysid.readers.mcap_stream import MAGIC
 from frasa_sysid.readers.sources import GZIP_MAGIC, check_source
 from frasa_sysid.recording import Clock, Recording
 
-__all__ = ["read_log", "read_logs", "read_mcap"]
+__all__ = ["Limit", "read_log", "read_logs", "read_mcap"]
 
 
-def read_log(path: Path, clock: Clock | Literal["auto"] = "auto") -> list[Recording]:
+def read_log(path: Path, clock: Clock | Literal["auto"] = "auto", limit: Limit | None = None) -> list[Recording]:
     """The recordings of a log.
 
     Args:
         path: an MCAP file.
         clock: which stamps to use; `auto` takes the best that all signals have.
+        limit: how much of it is kept in memory; by default as much as usual.
 
     Raises:
         LogError: no MCAP file (the message says how to make it one), or see `read_mcap`.
@@ -31,7 +33,7 @@ def read_log(path: Path, clock: Clock | Literal["auto"] = "auto") -> list[Record
     with path.open("rb") as file:
         head = file.read(64)
     if head.startswith(MAGIC):
-        return read_mcap(path, clock)
+        return read_mcap(path, clock, limit=limit)
     raise LogError(f"{path} is not an MCAP file{_advice(path, head)}")
 
 

@@ -77,8 +77,8 @@ def whole_log(named: Mapping[str, Series], stretches: Sequence[Sequence[int]], c
         found[name] = {
             "samples": series.size,
             "seconds": float(filled.max() - filled.min()) / 1e9 if filled.size else 0.0,
-            "low": float(np.nanmin([one.low for one in parts])) if parts else None,
-            "high": float(np.nanmax([one.high for one in parts])) if parts else None,
+            "low": min((one.low for one in parts if np.isfinite(one.low)), default=np.nan),
+            "high": max((one.high for one in parts if np.isfinite(one.high)), default=np.nan),
             "not_finite": sum(one.not_finite for one in parts),
             "longest_step_s": max((one.longest[clock] for one in parts), default=0) / 1e9,
         }

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from frasa_sysid.errors import UsageError
+from frasa_sysid.excerpt import travel
 from frasa_sysid.message_definitions import SIMULATED
 from frasa_sysid.readers.series import Series, Stamps
 
@@ -21,7 +22,6 @@ WINDOW = 10 * 10**9  # ns; long enough for a motion with its beginning and end
 OUTSIDE = -(2**62)  # window of what was not asked for
 LATECOMERS = 2**18  # numbers of a window that was let go already which are collected before they go too
 STAMP_WORDS = 4  # numbers that the stamps and the place of a reading take
-RESOLUTION = 0.05  # [s] from one position to the next when motion is added up: noise is no motion
 MOVING = ("position", "goal", "velocity", "gyro")  # what says how much a robot moves, the first that there is
 SECOND = 10**9
 
@@ -150,7 +150,5 @@ def _travel(series: Sequence[Series], window: int) -> float:
 def _way(series: Series, window: int) -> float:
     found = 0.0
     for block in series.blocks(window):
-        stride = max(1, round(len(block.values) * RESOLUTION * SECOND / WINDOW))
-        steps = np.abs(np.diff(block.values[::stride], axis=0))
-        found = max(found, float(np.nan_to_num(steps, posinf=0.0).sum(axis=0).mean()))
+        found = max(found, travel(block.values, WINDOW / SECOND))
     return found
