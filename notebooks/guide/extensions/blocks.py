@@ -11,7 +11,7 @@ not just so, is said in a comment in front of it, a line each, by the words that
     before: cp a.mcap b.mcap             run in front of the block
     -->
 
-A fenced block of `python` is run, one of `toml` is read as a map of signals.
+A fenced block of `python` is run, one of `toml` is read as a map of signals, and kept under the name in its first line.
 """
 
 import re

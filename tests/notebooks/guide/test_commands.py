@@ -75,6 +75,8 @@ def test_a_page_runs(page, copy):
             exec(compile(block.text, where, "exec"), names)  # the page's own text
         elif block.language == "toml":
             tomllib.loads(block.text)
+            if name := re.match(r"# (\S+\.toml)\n", block.text):
+                Path(name[1]).write_text(block.text)
             if "[[signal]]" in block.text:
                 parse_map(where, block.text.encode(), builtin=False)
         for command in block.commands:
