@@ -7,6 +7,7 @@ pickles. Here only the plain part of `data` is read, and tensors through `torch.
 
 import io
 import json
+import warnings
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -117,7 +118,9 @@ def _tensors(content: bytes) -> Tensors:
     from pickle import UnpicklingError
 
     try:
-        state = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of what is then refused, or does not matter
+            state = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
         if not isinstance(state, Mapping):
             raise KeyError("policy.pth is not a mapping")
         return {

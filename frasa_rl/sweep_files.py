@@ -93,6 +93,6 @@ def _read(path: Path) -> dict[str, Any] | None:
     """A JSON object; None where there is none, or a broken one."""
     try:
         said = json.loads(path.read_text())
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return None
     return said if isinstance(said, dict) else None

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from frasa_sysid.calibration import write_atomic
+from frasa_sysid.calibration import InputError, read_limited, write_atomic
+
+_LARGEST = 2**26  # [bytes]
 
 
 @dataclass(frozen=True)
@@ -31,12 +33,23 @@ class Table:
         write_atomic(run / self.file, text.getvalue())
 
     def read(self, run: Path) -> list[list[float]]:
-        """The rows; none when there is no file."""
+        """The rows; none when there is no file.
+
+        Raises:
+            InputError: it is damaged.
+        """
         path = run / self.file
-        if not path.is_file():
+        try:
+            text = read_limited(path, _LARGEST, InputError).decode("utf-8")
+            lines = list(csv.reader(io.StringIO(text, newline="")))[1:]
+            rows = [[float(one) if one else float("nan") for one in line] for line in lines]
+        except FileNotFoundError:
             return []
-        with path.open(newline="", encoding="utf-8") as file:
-            return [[float(one) if one else float("nan") for one in row] for row in list(csv.reader(file))[1:]]
+        except (ValueError, csv.Error) as error:
+            raise InputError(f"{path} is no table of numbers: {error}") from error
+        if any(len(row) != len(self.columns) for row in rows):
+            raise InputError(f"{path}: a row has not the {len(self.columns)} numbers that its head names")
+        return rows
 
 
 PROGRESS = Table(

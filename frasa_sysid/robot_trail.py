@@ -58,6 +58,8 @@ def place_from(data: Any) -> Place:  # noqa: ANN401 - as a file has it
     """
     units = None if data["units"] is None else tuple(float(one) for one in data["units"])
     moves = tuple((int(taken), int(used)) for taken, used in data["moves"])
+    if not np.isfinite([*(float(one) for one in data["x"]), *(units or ())]).all():
+        raise ValueError("a place that is not finite")
     return Place(
         str(data["stage"]),
         tuple(float(one) for one in data["x"]),

@@ -22,5 +22,6 @@ def read_limited(path: Path, largest: int, error: type[InputError]) -> bytes:
     with path.open("rb") as file:
         content = file.read(largest + 1)
     if len(content) > largest:
-        raise error(f"{path} is larger than {largest / 2**20:g} MiB, which no such file is")
+        size = f"{largest >> 20} MiB" if largest >= 2**20 else f"{largest >> 10} KiB"
+        raise error(f"{path} is larger than {size}, which no such file is")
     return content

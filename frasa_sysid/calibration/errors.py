@@ -16,7 +16,9 @@ class FrasaError(Exception):
     def __str__(self) -> str:
         """What was said, in one printable line: parts of it may be quoted from a file of a stranger."""
         text = super().__str__()
-        line = text if text.isprintable() else "".join(one if one.isprintable() else " " for one in text)
+        line = text
+        if not text.isprintable():
+            line = " ".join("".join(one if one.isprintable() else " " for one in text).split())
         return line if len(line) <= _LONGEST else f"{line[: _LONGEST - 200]} ... {line[-195:]}"
 
 

@@ -6,18 +6,22 @@ stand here. ROS 2 messages are decoded as those of MCAP files are.
 """
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
+from frasa_sysid.calibration import read_yaml
 from frasa_sysid.calibration.files import sha256_of, sha256_of_file
 from frasa_sysid.errors import LogError
 from frasa_sysid.message_definitions import DEFINITIONS
+from frasa_sysid.readers.bag_bounds import bind, check_definitions
 from frasa_sysid.readers.bag_definitions import LEGACY
+from frasa_sysid.readers.bag_tables import check_tables
 from frasa_sysid.readers.decoders import Decode, Extract, extract_ros
 from frasa_sysid.readers.kept_windows import KeptWindows, Limit
 from frasa_sysid.readers.mapped import extractor_of
@@ -49,6 +53,8 @@ def read_bag(path: Path, unit: Unit = "auto", mapping: SignalMap | None = None) 
     collected = Collected(windows=KeptWindows(Limit(None)))
     with _opened(path, kind) as reader:
         lost = _collect(reader, kind == ".bag", mapping, collected)
+    if lost and not collected.series:
+        raise LogError(f"{path}: {lost[0].message}")
     lost += _unmerged(path)
     last = recordings_of(path, collected, unit=unit, mapping=mapping)[-1]
     return [replace(last, name=bag_of(path).name, sha256=_digest(path), faults=(*last.faults, *lost))]
@@ -90,6 +96,10 @@ def _checked(path: Path) -> str:
     with path.open("rb") as file:
         if not file.read(16).startswith(HEADS[kind]):
             raise LogError(f"{path} is no bag: it does not begin with {HEADS[kind].decode()!r}")
+    if kind == METADATA:
+        read_yaml(path, LogError)  # nothing else than plain data is let through to the package
+    for base in [path] if kind == ".db3" else sorted(path.parent.glob("*.db3")) if kind == METADATA else []:
+        check_tables(base)
     return kind
 
 
@@ -99,6 +109,7 @@ def _opened(path: Path, kind: str) -> Iterator[Any]:
         from rosbags import rosbag1, rosbag2
     except ImportError:
         raise LogError(f"{path}: ROS bags need the package rosbags; {INSTALL}") from None
+    bind()
     reader = rosbag1.Reader(path) if kind == ".bag" else rosbag2.Reader(bag_of(path))
     try:
         reader.open()
@@ -143,12 +154,16 @@ def _decoder(
     number: int,
 ) -> Decode | None:
     topic, kind = connection.topic, connection.msgtype
+    if not isinstance(topic, str) or not isinstance(kind, str):  # SQLite keeps any type in any column
+        collected.skipped["a topic whose name or type is no text"] += 1
+        return None
     extract = extract_ros(kind) if mapping is None else extractor_of(mapping, topic)
     if extract is None:
         collected.unused.add(f"{topic} ({kind})")
         return None
     try:
-        unpack = _unpack_ros1(connection) if ros1 else _unpack_ros2(connection, ros2, number)
+        with redirect_stderr(StringIO()):  # a parser prints what it then raises
+            unpack = _unpack_ros1(connection) if ros1 else _unpack_ros2(connection, ros2, number)
     except Exception:  # the parser runs on a definition from the file: anything may come out
         collected.skipped[f"{topic} ({kind}: its definition cannot be parsed)"] += 1
         return None
@@ -168,7 +183,9 @@ def _unpack_ros1(connection: Any) -> Unpack:  # noqa: ANN401
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.EMPTY)
-    store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
+    types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
+    check_definitions(types)
+    store.register(types)
     return lambda data: store.deserialize_ros1(data, connection.msgtype)
 
 

@@ -1,22 +1,23 @@
 """CSV with a header line, read row by row: only the columns that a map names are kept, as numbers."""
 
 import csv
-import gzip
 import io
-import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from frasa_sysid.errors import LogError
 from frasa_sysid.readers.columns import Loaded, Values
-from frasa_sysid.readers.sources import GZIP_MAGIC, check_source
+from frasa_sysid.readers.sources import DAMAGED, check_source, open_unpacked
 from frasa_sysid.recording import Fault
 
 BLOCK = 4_000  # rows that are text at a time
 DELIMITERS = ",;\t"
+LONGEST_LINE = 2**20  # characters
+MOST_COLUMNS = 10_000
 
 
 class CsvFile:
@@ -32,8 +33,10 @@ class CsvFile:
         self.path = path
         with self._lines() as lines:
             first = next(lines, "")
-        self._delimiter = max(DELIMITERS, key=first.count)
-        self._names = [name.strip() for name in next(csv.reader([first.lstrip("#")], delimiter=self._delimiter), [])]
+            self._delimiter = max(DELIMITERS, key=first.count)
+            self._names = [name.strip() for name in next(self._fields([first.lstrip("#")]), [])]
+        if len(self._names) > MOST_COLUMNS:
+            raise LogError(f"{path}: {len(self._names)} columns, expected at most {MOST_COLUMNS}")
         if not any(self._names):
             raise LogError(f"{path}: its first line is empty, expected the names of the columns")
 
@@ -60,15 +63,10 @@ class CsvFile:
 
     @contextmanager
     def _lines(self) -> Iterator[Iterator[str]]:
-        with self.path.open("rb") as plain:
-            packed = plain.read(len(GZIP_MAGIC)) == GZIP_MAGIC
         try:
-            with (
-                gzip.open(self.path, "rb") if packed else self.path.open("rb") as file,
-                io.TextIOWrapper(file, encoding="utf-8-sig", newline="") as text,
-            ):
-                yield text
-        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+            with io.TextIOWrapper(open_unpacked(self.path), encoding="utf-8-sig", newline="") as text:
+                yield _lines_of(text)
+        except DAMAGED as error:
             raise LogError(f"{self.path} is a damaged gzip file: {error}") from error
         except (UnicodeDecodeError, csv.Error) as error:
             raise LogError(f"{self.path} is not a CSV table: {error}") from error
@@ -77,7 +75,7 @@ class CsvFile:
         self, lines: Iterator[str], places: Sequence[int], faults: list[Fault]
     ) -> Iterator[tuple[int, list[list[str]]]]:
         """The fields at some places, column by column, with the line of the first; some thousands at a time."""
-        reader = csv.reader(lines, delimiter=self._delimiter, strict=True)
+        reader = self._fields(lines)
         next(reader)
         columns: list[list[str]] = [[] for _ in places]
         short, start = 0, 2
@@ -97,10 +95,21 @@ class CsvFile:
         if columns[0]:
             yield start, columns
 
+    def _fields(self, lines: Iterable[str]) -> Any:  # noqa: ANN401 - of csv, whose type has no public name
+        return csv.reader(lines, delimiter=self._delimiter, strict=True)
+
     def _place(self, name: str) -> int:
         if self._names.count(name) > 1:
             raise LogError(f"{self.path}: {self._names.count(name)} columns are called {name}")
         return self._names.index(name)
+
+
+def _lines_of(text: io.TextIOWrapper) -> Iterator[str]:
+    """The lines of a text, none of them longer than a table's can be."""
+    while line := text.readline(LONGEST_LINE):
+        if len(line) == LONGEST_LINE:
+            raise csv.Error(f"a line of more than {LONGEST_LINE - 1} characters")
+        yield line
 
 
 def _block(file: CsvFile, name: str, start: int, fields: list[str], time: bool) -> Values:

@@ -6,7 +6,9 @@ each a quantity with the joints (or axes) it belongs to.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stderr
 from dataclasses import dataclass
+from io import StringIO
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -17,6 +19,7 @@ from frasa_sysid.readers.payloads import UNPACKS, Unpack
 from frasa_sysid.readers.stamps import stamp_of
 
 XYZ = ("x", "y", "z")
+LARGEST = {"cdr": 2**16, "protobuf": 2**20}  # bytes of a definition; that of a whole planning scene is half of it
 WXYZ = ("w", "x", "y", "z")
 COMMAND_WORDS = ("command", "cmd", "goal", "target", "desired", "reference", "setpoint", "lead", "leader")
 
@@ -70,9 +73,12 @@ def decoder_for(
     extract = chosen or (_extract_by_type(encoding, kind) if by_type else None)
     if extract is None:
         return None
+    if schema is not None and len(schema.data) > LARGEST.get(encoding, LARGEST["cdr"]):
+        raise ValueError(f"a definition of {len(schema.data)} bytes")
     unpack: Unpack | None
     if encoding == "cdr":
-        unpack = ros2.decoder_for(channel.message_encoding, schema)
+        with redirect_stderr(StringIO()):  # the parser prints what it then raises
+            unpack = ros2.decoder_for(channel.message_encoding, schema)
     else:
         make = UNPACKS.get((encoding, schema.encoding if schema else ""))
         unpack = None if make is None else make(schema)

@@ -25,6 +25,7 @@ RECORD_HEAD = np.dtype(
 )
 MESSAGE_HEAD = RECORD_HEAD.itemsize - HEAD.size  # bytes of a record before the message itself
 COMPRESSIONS = ("", "lz4", "zstd")
+MOST_OTHERS = 10_000  # records of a chunk that are neither messages nor describe any
 CHUNK_LIMIT = 2**28  # bytes after decompression; recorders write chunks of 1 to 16 MB
 PARSE_ERRORS = (McapError, struct.error, ValueError, OverflowError, zstandard.ZstdError, RuntimeError, EOFError)
 
@@ -119,7 +120,8 @@ def chunk_records(path: Path, frame: Frame) -> Iterator[Schema | Channel | Messa
 
 def _inner_records(data: bytes, whole: bool) -> Iterator[Schema | Channel | Messages]:
     """The records of a chunk, messages that follow one another together."""
-    offset, end, offsets = 0, len(data), []
+    offset, end, others = 0, len(data), 0
+    offsets: list[int] = []
     message, head, unpack = int(Opcode.MESSAGE), HEAD.size, HEAD.unpack_from  # looked up once, not a million times
     while offset < end:
         after = offset + head
@@ -137,6 +139,11 @@ def _inner_records(data: bytes, whole: bool) -> Iterator[Schema | Channel | Mess
                 yield messages_at(data, offsets)
                 offsets = []
             yield parse(Frame(offset, opcode, data[after : after + length]))
+        else:
+            # Kinds that are not known are passed over, but a chunk of nothing else is no log.
+            others += 1
+            if opcode == 0 or others > MOST_OTHERS:
+                raise ValueError(f"{others} records inside the chunk that are no messages")
         offset = after + length
     if offsets:
         yield messages_at(data, offsets)

@@ -43,7 +43,7 @@ class NpzFile:
         except ValueError as error:
             raise LogError(f"{self.path} cannot be read: {error}") from error
         for name, array in arrays.items():
-            if array.ndim == 0:
+            if array.ndim == 0 or array.dtype.kind not in ("fiubMU" if name in times else "fiub"):
                 raise LogError(
                     f"{self.path}: {name} is {array.dtype} of shape {array.shape}, expected numbers in a row"
                 )

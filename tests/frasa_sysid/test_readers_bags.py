@@ -16,7 +16,7 @@ from frasa_sysid.cli import build_parser
 from frasa_sysid.commands import importing
 from frasa_sysid.errors import LogError
 from frasa_sysid.message_definitions import DYNAMIC_JOINT_STATE
-from frasa_sysid.readers import read_log
+from frasa_sysid.readers import bag_bounds, read_log
 from frasa_sysid.readers.bag import read_bag
 from frasa_sysid.readers.signal_map import load_map
 
@@ -272,3 +272,62 @@ def test_without_rosbags_it_is_said_how_to_get_it(bags, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags", None)
     with pytest.raises(LogError, match=r"pip install 'frasa\[formats\]'"):
         read_bag(Path(bags["ros1"]))
+
+
+def test_databases_that_compute(bags, tmp_path):
+    """A view or a computed column is SQL of a stranger, which need not end; columns hold any type."""
+    import sqlite3
+
+    endless = "WITH RECURSIVE n(i) AS (SELECT 0 UNION ALL SELECT i + 1 FROM n)"
+    view = f"CREATE VIEW messages AS {endless} SELECT i AS id, 1 AS topic_id, i AS timestamp, x'00' AS data FROM n"
+    for commands, complaint in (
+        (("ALTER TABLE messages RENAME TO other", view), "'messages' is a view, computed by SQL"),
+        (("ALTER TABLE topics ADD COLUMN a AS (zeroblob(900000000))",), "'topics' is a table, computed by SQL"),
+        (("UPDATE topics SET name = x'ff', type = 5",), "a topic whose name or type is no text"),
+    ):
+        path = tmp_path / "a.db3"
+        path.write_bytes(bags["old"].read_bytes())
+        with sqlite3.connect(path) as base:
+            for command in commands:
+                base.execute(command)
+        base.close()
+        with pytest.raises(LogError, match=complaint):
+            read_bag(path)
+
+
+def test_chunks_of_bags_unpack_within_bounds(monkeypatch):
+    """What `rosbags` unpacks stops at a limit, in each packing."""
+    import bz2
+
+    import lz4.frame
+    import zstandard
+
+    monkeypatch.setattr(bag_bounds, "CHUNK_LIMIT", 2**16)
+    packers = ((bag_bounds.unpack_bz2, bz2.compress), (bag_bounds.unpack_lz4, lz4.frame.compress))
+    for unpack, pack in (*packers, (bag_bounds.unpack_zstd, zstandard.compress)):
+        assert unpack(pack(b"a" * 2**16)) == b"a" * 2**16
+        with pytest.raises(ValueError, match="unpacks to more than 65536 bytes"):
+            unpack(pack(bytes(2**22)))
+
+
+def test_definitions_that_take_memory_without_bytes():
+    """Arrays of empty messages, and of a fixed number of elements that no message has."""
+    line = "=" * 80
+    for text in (f"a/E[] x\n{line}\nMSG: a/E\n", f"a/E[9] x\n{line}\nMSG: a/E\n", "float64[4000000000] x\n"):
+        with pytest.raises(ValueError, match="is an array of"):
+            bag_bounds.check_definitions(get_types_from_msg(text, "a/msg/B"))
+    bag_bounds.check_definitions(get_types_from_msg("float64[36] x\nstring[] names\n", "a/msg/B"))
+
+
+def test_metadata_of_a_folder_is_plain(bags, tmp_path):
+    """Aliases and tags are refused before another reader of YAML sees them."""
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    for source in bags["folder"].parent.iterdir():
+        (folder / source.name).write_bytes(source.read_bytes())
+    metadata = folder / "metadata.yaml"
+    good = metadata.read_text()
+    for more in ("a: &a [1]\nb: *a\n", "a: !!python/name:os.system\n", "a: " + "[" * 5000):
+        metadata.write_text(good + more)
+        with pytest.raises(LogError, match="is not YAML"):
+            read_bag(metadata)

@@ -34,9 +34,16 @@ def gzip_bomb(unit: bytes = b"[", megabytes: int = 600) -> bytes:
     return gzip_of(unit * (2**24 // len(unit))) * (megabytes // 16)
 
 
+@cache
 def gzip_of(content: bytes) -> bytes:
     """Packed."""
-    return gzip.compress(content, 9, mtime=0)
+    return gzip.compress(content, 1, mtime=0)
+
+
+@cache
+def many(head: bytes, unit: bytes, megabytes: int) -> bytes:
+    """A head and a text again and again, packed: one packed member again and again."""
+    return gzip_of(head) + gzip_of(unit * (2**24 // len(unit))) * (megabytes // 16)
 
 
 def npy(header: str, data: bytes = b"", version: tuple[int, int] = (1, 0)) -> bytes:
@@ -80,19 +87,21 @@ def zip_bomb(name: str, head: bytes, gigabytes: int = 3) -> bytes:
     return local + data + entry + end
 
 
-def arrays_bombs(name: str) -> dict[str, bytes]:
+def arrays_bombs(name: str, beside: dict[str, bytes]) -> dict[str, bytes]:
     """Files of arrays that claim, unpack to or execute what they should not."""
     claim = "{'descr': '<f8', 'fortran_order': False, 'shape': (%s,), }"
     huge = claim % (3 * 2**27)
     return {
-        "claims 8 EB": packed({f"{name}.npy": npy(claim % 10**18, bytes(80))}),
-        "claims 3 GB": packed({f"{name}.npy": npy(huge, bytes(80))}),
-        "negative": packed({f"{name}.npy": npy(claim % -5, bytes(80))}),
-        "object array": packed({f"{name}.npy": objects()}),
-        "pickle": packed({f"{name}.npy": pickled()}),
+        "claims 8 EB": packed({**beside, f"{name}.npy": npy(claim % 10**18, bytes(80))}),
+        "claims 3 GB": packed({**beside, f"{name}.npy": npy(huge, bytes(80))}),
+        "negative": packed({**beside, f"{name}.npy": npy(claim % -5, bytes(80))}),
+        "object array": packed({**beside, f"{name}.npy": objects()}),
+        "pickle": packed({**beside, f"{name}.npy": pickled()}),
         "whole file is a pickle": pickled(),
-        "header runs code": packed({f"{name}.npy": npy(f"__import__('os').system('touch {CANARY}')", bytes(80))}),
-        "deep header": packed({f"{name}.npy": npy("(" * 9000 + ")" * 9000, b"", (2, 0))}),
+        "header runs code": packed(
+            {**beside, f"{name}.npy": npy(f"__import__('os').system('touch {CANARY}')", bytes(80))}
+        ),
+        "deep header": packed({**beside, f"{name}.npy": npy("(" * 9000 + ")" * 9000, b"", (2, 0))}),
         "zip bomb": zip_bomb(f"{name}.npy", npy(huge)),
     }
 

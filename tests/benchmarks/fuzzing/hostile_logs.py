@@ -192,7 +192,7 @@ def _bases() -> list[Case]:
         "a blob of 1 GB": ("UPDATE messages SET data = zeroblob(900000000) WHERE id = 1",),
         "texts for numbers": ("UPDATE messages SET timestamp = 'x'",),
         "numbers for texts": ("UPDATE topics SET name = 5, type = x'ff'",),
-        "nulls": ("UPDATE topics SET type = NULL",),
+        "no type": ("UPDATE topics SET type = ''",),
         "definition of code": (
             "UPDATE message_definitions SET encoded_message_definition = 'float64 x\nstring S=''+__import__(0)'",
         ),

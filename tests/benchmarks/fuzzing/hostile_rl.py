@@ -68,7 +68,8 @@ def _checkpoints() -> list[Case]:
     state = next(name for name in good.files if name.endswith("state.npz"))
     model = next(name for name in good.files if name.endswith("model.zip"))
     found = [
-        Case({**good.files, state: one}, "", f"state {note}", True) for note, one in bombs.arrays_bombs("mark").items()
+        Case({**good.files, state: one}, "", f"state {note}", True)
+        for note, one in bombs.arrays_bombs("mark", {}).items()
     ]
     found += [Case({**good.files, model: one}, "", f"model {note}", True) for note, one in _models(good.files[model])]
     found.append(Case({state: good.files[state]}, "", "no model", True))

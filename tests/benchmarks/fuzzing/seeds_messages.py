@@ -5,6 +5,7 @@ import json
 import sqlite3
 import tempfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ EPOCH = 1_700_000_000 * S
 N = 12
 
 
+@cache
 def written() -> list[Case]:
     """What frasa writes itself: two benches, a robot with its IMU, an excitation."""
     t = np.arange(N) / 100
@@ -149,6 +151,7 @@ def as_protobuf() -> list[Case]:
     return [single(buffer.getvalue(), "a.mcap", "protobuf")]
 
 
+@cache
 def bags() -> dict[str, list[Case]]:
     """ROS 1 bags (plain and packed), .db3 files (with definitions and without), folders of .db3 and of MCAP."""
     from rosbags.rosbag1 import Writer as Writer1

@@ -25,6 +25,11 @@ unit = "rad"
 column = "v"
 signal = "supply_voltage"
 unit = "mV"
+[[signal]]
+column = "list"
+signal = "current"
+unit = "A"
+joints = ["a", "b"]
 [joints]
 knee = "left_knee"
 """
@@ -161,7 +166,9 @@ def _tables() -> dict[str, list[Case]]:
     frame = pd.DataFrame({"t": t, "q_knee": np.sin(t), "q_hip": np.cos(t), "cmd_knee": t, "cmd_hip": -t, "v": 12e3})
     table, arrow, packed = io.BytesIO(), io.BytesIO(), io.BytesIO()
     frame.to_csv(table, index=False)
-    frame.assign(q_arm=[[0.1, 0.2]] * 30).to_parquet(arrow)
+    frame.to_parquet(arrow)
+    lists = io.BytesIO()
+    frame.assign(list=[[0.1, 0.2]] * 30).to_parquet(lists)
     whole = frame.to_numpy()
     columns = {"t": whole[:, 0], "q_knee": whole[:, 1], "cmd_knee": whole[:, 3], "v": whole[:, 5]}
     np.savez_compressed(packed, **columns)
@@ -170,7 +177,7 @@ def _tables() -> dict[str, list[Case]]:
     semicolons = table.getvalue().replace(b",", b";")
     return {
         "csv": [single(one, "a.csv") for one in (table.getvalue(), semicolons, gzip.compress(table.getvalue()))],
-        "parquet": [single(arrow.getvalue(), "a.parquet")],
+        "parquet": [single(one.getvalue(), "a.parquet") for one in (arrow, lists)],
         "npz": [single(packed.getvalue(), "a.npz"), single(stored.getvalue(), "a.npz")],
         "map": [single(MAP, "a.toml"), single(TOPICS, "a.toml")],
     }

@@ -1,6 +1,7 @@
 """The readers of the fitter: logs, maps, models, fits, checkpoints of fits, excitations."""
 
 import json
+from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
 
@@ -87,14 +88,16 @@ def _bam_parameters() -> Read:
 
 def _fit_checkpoint() -> Read:
     """A damaged one costs time only: it is left aside, and what is taken of it fits the search."""
+    from frasa_sysid.calibration.errors import OutputError
     from frasa_sysid.commands.fit_robot import _resumed
     from frasa_sysid.search import search
 
     def read(path: Path) -> int:
-        point = _resumed(path, "ab")
-        if point is not None and not (point.ndim == 1 and np.isfinite(point).all()):
-            raise ValueError(f"a start of {point}")
-        search(lambda points: [float(np.sum(one**2)) for one in points], np.full(2, 0.5), 0, 30, path, "ab")
+        place = _resumed(path, "ab")
+        if place is not None and not np.isfinite([*place.x, *(place.units or ())]).all():
+            raise ValueError(f"a start of {place}")
+        with suppress(OutputError):  # a folder where the checkpoint goes
+            search(lambda points: [float(np.sum(one**2)) for one in points], np.full(2, 0.5), 0, 30, path, "ab")
         return 0
 
     return read
@@ -149,7 +152,11 @@ def _fits() -> list[Case]:
 
 def _checkpoints() -> list[Case]:
     searched = {"searches": {"ab": [[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]] * 3, "cd": [[1.0] * 5]}}
-    partial_ = {"identity": "ab", "x": [0.1, 0.2, 0.3]}
+    place = {
+        "stage": "all", "x": [0.1, 0.2, 0.3], "units": [1.0, 2.0], "iteration": 3, "used": 40, "cost": 1.5,
+        "weighing": False, "converged": False, "moves": [[0, 3], [1, 2]],
+    }  # fmt: skip
+    partial_ = {"identity": "ab", "place": place}
     return [single(json.dumps(one).encode(), "partial.json") for one in (searched, partial_)]
 
 
