@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from sphinx.application import Sphinx
 from sphinx.util import logging
 
-from extensions import bench_pictures, bench_table
+from extensions import bench_pictures, bench_table, run_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,6 +23,7 @@ STAMP = "made_of.txt"
 TABLES: dict[str, Callable[[Path], str]] = {
     "information.md": bench_table.information,
     "load_friction.md": bench_table.load_friction,
+    "quality.md": run_table.quality,
 }
 PICTURES: "dict[str, Callable[[Path], Figure]]" = {
     "torque_off.svg": bench_pictures.torque_off,
@@ -56,6 +57,7 @@ def _made_of() -> str:
         *(ROOT / "bench_logs").glob("*.mcap"),
         *(ROOT / "robot_model").glob("*.xml"),
         *(ROOT / "robot_model" / "fits").glob("*.json"),
+        *(ROOT / "robot_model" / "policies").rglob("*.csv"),
     ]
     total = hashlib.sha256()
     for path in sorted(sources):
