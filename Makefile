@@ -2,13 +2,14 @@
 #   make demo    bench logs -> calibrated model -> trained agent -> demo/index.html
 #   make test    lint, types, import contracts, guide, tests
 #   make docs    the guide: build/guide/index.html
+#   make lab     the notebooks, opened; make notebooks runs them and stores what they show
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DEMO_MINUTES ?= 4
 
-.PHONY: demo test check docs bench bench-logs setup clean
+.PHONY: demo test check docs bench bench-logs notebooks lab setup clean
 
 setup: $(READY)
 
@@ -42,6 +43,15 @@ bench-logs: $(READY)
 	$(BIN)/frasa-sysid simulate --servo mx106 --out bench_logs/mx106.mcap
 	$(BIN)/frasa-sysid simulate --servo mx64 --out bench_logs/mx64.mcap
 	$(BIN)/frasa-sysid simulate --robot --base both --seed 1 --seconds 25 --out bench_logs/robot.mcap
+
+# Every notebook from its plain text, with what it shows, into the .ipynb beside it.
+notebooks: $(READY)
+	$(BIN)/python tests/notebooks/refresh.py
+
+# JupyterLab is not part of the set-up: it is large, and any other Jupyter or editor opens the notebooks too.
+lab: $(READY)
+	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt jupyterlab
+	$(BIN)/jupyter lab notebooks
 
 clean:
 	rm -rf demo runs build notebooks/guide/generated .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

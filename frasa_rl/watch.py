@@ -53,6 +53,17 @@ class Watched:
     time_s: float | None
     stood: bool = True
 
+    @property
+    def words(self) -> str:
+        """How it ended: the time, or that it did not."""
+        if not self.stood:
+            return "did not stand before the push"
+        return f"not within {self.t[-1]:.1f} s" if self.time_s is None else f"{self.time_s:.2f} s"
+
+    def until_decided(self, more_s: float = 0.15) -> "Watched":
+        """The rows until shortly after it stood up; all of them where it did not."""
+        return self if self.time_s is None else self.between(0.0, self.time_s + more_s)
+
     def between(self, begin: float, end: float) -> "Watched":
         """The rows of a stretch of time [s], both ends included."""
         kept = (self.t >= begin - 1e-9) & (self.t <= end + 1e-9)

@@ -16,6 +16,7 @@ def fit_bench(
     restarts: int = RESTARTS,
     seed: int = 0,
     threads: int | None = None,
+    choice: Choice | None = None,
 ) -> FitResult:
     """Fit a friction law to a bench's logs.
 
@@ -26,11 +27,14 @@ def fit_bench(
         restarts: searches that must agree.
         seed: of the search.
         threads: by default one per core.
+        choice: of these very logs: its law and effects are fitted, from its solution on.
 
     Raises:
         LogError, UsageError, ModelError: bad input.
     """
     with bench.session(threads=threads) as session:
+        if choice is not None:
+            return fit(choice.problem, session, bench.inputs, restarts=restarts, known=(choice.x,))
         return fit(bench.problem(session, law, effects, seed), session, bench.inputs, restarts=restarts)
 
 

@@ -116,7 +116,12 @@ def half_width(one: Estimate) -> str:
     half = (one.high - one.low) / 2
     if one.unit in _SMALL:
         unit, scale = _SMALL[one.unit]
-        return f"± {half * scale:.2g} {unit}"
+        return f"± {_short(half * scale)} {unit}"
     if abs(one.value) <= 0.0 or half > 2.0 * abs(one.value):
         return f"± {half:.1g} {one.unit}"
-    return f"± {100 * half / abs(one.value):.2g} %"
+    return f"± {_short(100 * half / abs(one.value))} %"
+
+
+def _short(value: float) -> str:
+    """Two digits, and no powers of ten."""
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"

@@ -51,6 +51,8 @@ def test_what_is_recorded_fits_together(supine):
     assert supine.height[-1] > supine.height[0] + 0.1
     assert supine.worst_deg[0] > 30
     assert supine.worst_deg[-1] < 5
+    assert supine.words == f"{supine.time_s:.2f} s"
+    assert supine.until_decided(0.1).t[-1] == pytest.approx(supine.time_s + 0.1, abs=0.05)
     part = supine.between(0.2, 0.4)
     np.testing.assert_allclose(part.t, [0.2, 0.25, 0.3, 0.35, 0.4])
     np.testing.assert_array_equal(part.joints, supine.joints[4:9])
@@ -72,6 +74,8 @@ def test_another_rate_is_recorded_once_a_control_period(conditions, robot_model_
     watched = watch_standup(keyframes, fast, "prone", seconds=0.5)
     np.testing.assert_allclose(np.diff(watched.t), TASK.control_period_s)
     assert watched.time_s is None
+    assert watched.words == "not within 0.5 s"
+    assert watched.until_decided() is watched
 
 
 def test_figures(supine, monkeypatch):

@@ -17,6 +17,7 @@ def estimate(name="mx106.kp", value=20.0, half=0.1, unit="N m/rad", verdict="ide
     [
         (estimate(), "± 0.5 %"),
         (estimate(value=-20.0), "± 0.5 %"),
+        (estimate(value=0.1, half=0.15), "± 150 %"),
         (estimate(value=0.01, half=0.5, unit="N m"), "± 0.5 N m"),
         (estimate(value=0.0, half=0.25, unit="N m"), "± 0.2 N m"),
         (estimate(value=0.008, half=0.0003, unit="s"), "± 0.3 ms"),
