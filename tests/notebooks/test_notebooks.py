@@ -65,7 +65,7 @@ def test_what_is_stored_is_clean_and_small(source):
 
 @every_notebook
 def test_stays_readable(source):
-    """No function is longer than a plot, no cell longer than a screen, and every code cell follows some words."""
+    """No function is longer than a plot, no cell longer than a screen, and there is text to read."""
     tree = ast.parse(source.read_text())
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef):
@@ -73,7 +73,8 @@ def test_stays_readable(source):
     notebook = jupytext.read(source)
     for cell in notebook.cells:
         if cell.cell_type == "code":
-            assert len(cell.source.splitlines()) <= LONGEST_FUNCTION, cell.source
+            lines = [line for line in cell.source.splitlines() if not line.startswith(("import ", "from "))]
+            assert len(lines) <= LONGEST_FUNCTION, cell.source
     words = sum(len(cell.source.split()) for cell in notebook.cells if cell.cell_type == "markdown")
     assert words > 300
 
