@@ -57,6 +57,7 @@ def deployment(run: dict[str, Any], task: Task, model_path: Path) -> dict[str, A
             "seed": settings.get("seed") if isinstance(settings, dict) else None,
             "steps": trained.get("steps") if isinstance(trained, dict) else None,
             "origin": run.get("origin", "frasa-rl train"),
+            "versions": run.get("versions"),
         },
         "model": {
             "file": model_path.name,

@@ -93,9 +93,7 @@ class Policy:
         Raises:
             PolicyError: no policy there, or a broken one.
         """
-        path = Path(folder)
-        inner = path / FOLDER
-        path = inner if (inner / WEIGHTS_FILE).is_file() else path
+        path = weights_file(Path(folder)).parent
         try:
             layers, digest = read_weights(path / WEIGHTS_FILE)
         except DeployError as error:
@@ -107,6 +105,12 @@ class Policy:
                 "go on with the run (--resume), or export the policy again"
             )
         return Policy(layers, run)
+
+
+def weights_file(folder: Path) -> Path:
+    """Where the weights of a policy folder are, or of the policy of a run folder."""
+    inner = folder / FOLDER / WEIGHTS_FILE
+    return inner if inner.is_file() else folder / WEIGHTS_FILE
 
 
 def read_run(path: Path) -> dict[str, Any]:

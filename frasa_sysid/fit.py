@@ -4,7 +4,6 @@ A friction law richer than M1 is fitted along its ladder (M1, then M2 and M3, th
 starting also from the solution of the simpler one, so that a richer law never fits worse.
 """
 
-import importlib.metadata
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -14,6 +13,7 @@ import numpy as np
 
 from frasa_sysid.bench_kernel import BenchKernel
 from frasa_sysid.bench_session import BenchSession
+from frasa_sysid.calibration import versions as versions_of
 from frasa_sysid.calibration.stepping import EULER
 from frasa_sysid.cost import Misfit, misfit
 from frasa_sysid.evidence import ON_BOUND, Evidence, evidence, widened
@@ -158,8 +158,7 @@ def _shot(problem: FitProblem, session: BenchSession, solved: Solved) -> tuple[F
 
 def versions() -> dict[str, str]:
     """Of everything a result depends on."""
-    names = ("frasa", "mujoco", "cmaes", "numpy", "scipy", "numba")
-    return {name: importlib.metadata.version(name) for name in names}
+    return versions_of("cmaes", "scipy", "numba")
 
 
 def climb(

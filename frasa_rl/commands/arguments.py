@@ -1,17 +1,20 @@
 """Arguments that the commands about controllers share."""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from frasa_rl.commands.task_option import add_task_option, chosen_task
 from frasa_rl.config import Task
 from frasa_rl.controllers import Controller
-from frasa_rl.evaluate import find_controller, is_policy
+from frasa_rl.evaluate import KEYFRAMES, NOTHING, find_controller, is_policy
 from frasa_rl.foreign import is_foreign
+from frasa_rl.keyframe import KEYFRAMES as KEYFRAMES_FILE
 from frasa_rl.physics import own_physics
-from frasa_rl.policy import Policy
+from frasa_rl.policy import Policy, weights_file
 from frasa_rl.protocol import Conditions, evaluation_task
-from frasa_sysid.calibration import UsageError
+from frasa_sysid.calibration import UsageError, load_model, model_sha256, sha256_of_file, versions
 
 CONTROLLER_HELP = (
     "a run or policy folder, an SB3 file (.zip), 'keyframes', a file of keyframes (.yaml), or 'nothing' "
@@ -38,6 +41,15 @@ def chosen_task_of(args: argparse.Namespace, word: str) -> Task:
     """The task that the arguments name, else the policy's own; an SB3 file has none."""
     named = is_policy(word) and not is_foreign(word)
     return chosen_task(args, Policy.load(word) if named else None)
+
+
+def provenance(words: Sequence[str], model: Path) -> dict[str, Any]:
+    """What measured controllers depend on: hashes of their files and of the model, and versions."""
+    files = {word: KEYFRAMES_FILE if word == KEYFRAMES else Path(word) for word in words if word != NOTHING}
+    inputs = {"model": model_sha256(load_model(model))}
+    for word, path in files.items():
+        inputs[word] = sha256_of_file(weights_file(path) if path.is_dir() else path)
+    return {"inputs": inputs, "versions": versions()}
 
 
 def conditions(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from frasa_rl.bars import shown_share
-from frasa_rl.commands.arguments import CONTROLLER_HELP, add_conditions, conditions
+from frasa_rl.commands.arguments import CONTROLLER_HELP, add_conditions, conditions, provenance
 from frasa_rl.commands.leave_page import leave_page
 from frasa_rl.evaluate import SCHEMA, evaluate
 from frasa_rl.evaluation_page import write_evaluation_page
@@ -92,6 +92,7 @@ def _measured(args: argparse.Namespace, word: str, pictures: list[Path]) -> dict
         "rate_hz": round(1.0 / asked.period_s, 6),
         "randomized": asked.randomize,
         "seed": args.seed,
+        **provenance([word], asked.model),
     }
     text = tables(result)
     say(text)

@@ -1,6 +1,7 @@
 """frasa-rl keyframe."""
 
 import argparse
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,16 @@ from frasa_rl.keyframe import KEYFRAMES, load_controller
 from frasa_rl.keyframe_file import load_keyframes, save_keyframes
 from frasa_rl.protocol import evaluation_task
 from frasa_rl.routine import Keyframes
-from frasa_sysid.calibration import InterruptedRunError, UsageError, alone, say
+from frasa_sysid.calibration import (
+    InterruptedRunError,
+    UsageError,
+    alone,
+    load_model,
+    model_sha256,
+    say,
+    sha256_of_file,
+    versions,
+)
 
 TUNED = Path("keyframes.yaml")
 
@@ -61,6 +71,8 @@ def _tune(args: argparse.Namespace) -> dict[str, Any]:
     last: dict[str, Progress] = {}
     robots = "robots drawn from the ranges" if args.randomize else "the robot as in its file"
     comment = f"Tuned by frasa-rl keyframe --tune from {args.keyframes.name} on {model.name}, {robots}.\n"
+    inputs = {args.keyframes.name: sha256_of_file(args.keyframes), model.name: model_sha256(load_model(model))}
+    comment += f"Seed {args.seed}; sha256 {json.dumps(inputs)}; versions {json.dumps(versions('cmaes'))}.\n"
 
     def save(best: Keyframes) -> None:
         save_keyframes(best, out, comment)

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 from frasa_rl.bars import shown_share
-from frasa_rl.commands.arguments import CONTROLLER_HELP, add_conditions, conditions
+from frasa_rl.commands.arguments import CONTROLLER_HELP, add_conditions, conditions, provenance
 from frasa_rl.evaluate import evaluate
 from frasa_rl.instruments import MEASURES
 from frasa_rl.rank import CRITERIA, PASS_SHARE, numbers_of, rank, rank_table
@@ -73,4 +73,5 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         "seed": args.seed,
         "trials": args.trials,
         "push_trials": args.push_trials,
+        **provenance(args.controllers, chosen[0][2].model),
     }

@@ -60,6 +60,7 @@ from frasa_sysid.calibration.parameters import (
     parameter,
 )
 from frasa_sysid.calibration.plain_yaml import read_yaml
+from frasa_sysid.calibration.provenance import input_hashes, model_sha256, versions
 from frasa_sysid.calibration.ranges import Calibration, Range
 
 __all__ = [
@@ -94,9 +95,11 @@ __all__ = [
     "delayed_sensors",
     "dofs_of",
     "hold_history",
+    "input_hashes",
     "load_calibration",
     "load_model",
     "load_spec",
+    "model_sha256",
     "number",
     "parameter",
     "plain",
@@ -111,6 +114,7 @@ __all__ = [
     "sha256_of_file",
     "tell_report",
     "trunk_of",
+    "versions",
     "write_atomic",
     "write_together",
 ]

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from frasa_sysid.calibration.errors import FrasaError
+from frasa_sysid.calibration.provenance import versions
 
 Run = Callable[[argparse.Namespace], dict[str, Any]]
 
@@ -44,7 +45,8 @@ def run_command(parser: argparse.ArgumentParser, arguments: Sequence[str] | None
         say(f"{parser.prog}: cannot use {place}: {error.strerror or error}")
         return 1
     if getattr(args, "json", False):
-        print(json.dumps(plain(result), indent=2, allow_nan=False))
+        said = {**result, "versions": result.get("versions") or versions()}
+        print(json.dumps(plain(said), indent=2, allow_nan=False))
     return 0
 
 

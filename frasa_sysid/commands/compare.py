@@ -9,7 +9,14 @@ from rich.table import Table
 
 from frasa_sysid.bench import Bench
 from frasa_sysid.bench_compare import BenchContender, compare_bench, of_bam, of_fit, of_model, of_nominal
-from frasa_sysid.calibration import add_json_flag, add_report_arguments, calibration_id, load_model, tell_report
+from frasa_sysid.calibration import (
+    add_json_flag,
+    add_report_arguments,
+    calibration_id,
+    input_hashes,
+    load_model,
+    tell_report,
+)
 from frasa_sysid.commands.bench import add_bench_arguments, bench_model, load_bench, people_console, read_logs
 from frasa_sysid.commands.compare_robot import REPORT, SCHEMA, compare_robot_logs, write_overlay
 from frasa_sysid.commands.fit_robot import add_base_argument, add_share_argument
@@ -85,6 +92,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "servo": bench.servo.name,
         "misfit": _plain(last),
         "candidates": {name: _plain(one) for name, one in errors.items()},
+        "inputs": {**bench.inputs, **input_hashes((args.model, *args.with_model, *args.fit, *args.bam))},
         "outputs": {"report": report, "mcap": args.mcap},
     }
 

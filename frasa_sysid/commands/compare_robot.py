@@ -10,7 +10,7 @@ from rich.table import Table
 
 from frasa_sysid import stored_fit
 from frasa_sysid.bench import inputs_of
-from frasa_sysid.calibration import load_model, say, servo_classes, tell_report
+from frasa_sysid.calibration import input_hashes, load_model, say, servo_classes, tell_report
 from frasa_sysid.commands.bench import people_console
 from frasa_sysid.errors import LogError, UsageError
 from frasa_sysid.fit_json import ROBOT, read_json
@@ -59,6 +59,7 @@ def compare_robot_logs(args: argparse.Namespace, recordings: Sequence[Recording]
         "hold_out_share": args.hold_out_share,
         "misfit": list(plain.values())[-1],
         "candidates": plain,
+        "inputs": {**inputs_of(recordings), **input_hashes((args.model, *args.with_model, *args.fit))},
         "outputs": {"report": report, "mcap": args.mcap},
     }
 

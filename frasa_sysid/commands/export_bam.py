@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from frasa_sysid import bam_parameters, stored_fit
-from frasa_sysid.calibration import add_json_flag, plain, say, write_atomic
+from frasa_sysid.calibration import add_json_flag, input_hashes, plain, say, write_atomic
 from frasa_sysid.errors import UsageError
 
 SCHEMA = "frasa.export-bam/1"
@@ -43,4 +43,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     say(f"{exported.data['actuator']} with friction law {exported.data['model']}: {out}")
     for note in exported.notes:
         say(f"  not in it: {note}")
-    return {"schema": SCHEMA, "parameters": exported.data, "not_in_it": exported.notes, "outputs": {"parameters": out}}
+    return {
+        "schema": SCHEMA,
+        "parameters": exported.data,
+        "inputs": input_hashes([args.fit]),
+        "not_in_it": exported.notes,
+        "outputs": {"parameters": out},
+    }

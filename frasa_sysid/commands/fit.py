@@ -13,7 +13,7 @@ from frasa_sysid import published_as
 from frasa_sysid.bench import Bench
 from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.bootstrap import full_bootstrap
-from frasa_sysid.calibration import add_json_flag, alone, load_model, say, servo_classes
+from frasa_sysid.calibration import add_json_flag, alone, input_hashes, load_model, say, servo_classes
 from frasa_sysid.calibration.friction import LAWS
 from frasa_sysid.choice import Choice, choose
 from frasa_sysid.claims import settle
@@ -112,7 +112,7 @@ def _run_bench(args: argparse.Namespace, bench: Bench, effects: tuple[str, ...] 
         if args.publish and not session.publishable:
             raise UsageError("--publish needs the bench model's own step: leave --timestep out")
         result, extras = _fit_with_progress(args, bench, session, spread, out, effects)
-        data = to_json(result, extras)
+        data = {**to_json(result, extras), "models": input_hashes((args.model, bench_model(args)))}
         outputs: dict[str, Any] = {"fit": out, "model": None, "ranges": None, "report": None}
         save(out, {key: value for key, value in data.items() if key != "seconds"})
         if result.stop is not Stop.INTERRUPTED:

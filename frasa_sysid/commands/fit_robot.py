@@ -15,7 +15,17 @@ from rich.table import Table
 
 from frasa_sysid import stored_fit, stored_robot_fit
 from frasa_sysid.bench import inputs_of, origin_of
-from frasa_sysid.calibration import alone, load_model, number, read, read_limited, say, servo_classes, write_atomic
+from frasa_sysid.calibration import (
+    alone,
+    input_hashes,
+    load_model,
+    number,
+    read,
+    read_limited,
+    say,
+    servo_classes,
+    write_atomic,
+)
 from frasa_sysid.commands.bench import people_console
 from frasa_sysid.commands.publish import PATIENCE_S, publish_files
 from frasa_sysid.commands.reading import share_of_memory
@@ -237,7 +247,7 @@ def _record(
         _pair(facts.get("delay_jitter")),
         (SUM_ONLY.format(age=args.position_delay * 1e3),),
         {"misfit": _misfit(found), "physical_delays": _physical(found), "seed": args.seed, "versions": versions(),
-         "parts": said_of(recordings),
+         "models": input_hashes([args.model]), "parts": said_of(recordings),
          "converged": found.settled.converged, "evaluations": found.settled.evaluations},
     )  # fmt: skip
 

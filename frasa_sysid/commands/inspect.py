@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from frasa_sysid.bench import inputs_of
 from frasa_sysid.calibration.command_line import add_json_flag
 from frasa_sysid.commands.bench import SERVO_HELP
 from frasa_sysid.commands.faults import show_faults
@@ -82,6 +83,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "recordings": [_describe(recording) for recording in recordings],
         "identifiable": [{"servo": servo, **asdict(one)} for servo, one in by_servo],
         "checks": [asdict(one) for one in wrong],
+        "inputs": inputs_of(recordings),
         "next": [{"servo": servo, "record": log} for servo in found for log in next_logs(found[servo])],
     }
 

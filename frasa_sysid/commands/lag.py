@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from frasa_sysid.bench import inputs_of
 from frasa_sysid.calibration.command_line import add_json_flag, say
 from frasa_sysid.calibration.files import write_atomic
 from frasa_sysid.commands.reading import add_reading_arguments, read_within
@@ -82,6 +83,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "against": args.against,
         "logs": [asdict(one) for one in found],
         "joints": [asdict(one) for one in joints],
+        "inputs": inputs_of(recordings),
         "outputs": {"report": args.report},
     }
 

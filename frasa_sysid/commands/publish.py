@@ -9,7 +9,7 @@ import mujoco
 
 from frasa_sysid import stored_fit, stored_robot_fit
 from frasa_sysid.bench import NOMINAL_MODEL
-from frasa_sysid.calibration import add_json_flag, alone, say
+from frasa_sysid.calibration import add_json_flag, alone, input_hashes, say
 from frasa_sysid.errors import InputError
 from frasa_sysid.fit_json import ROBOT, read_json
 from frasa_sysid.publish import publish, write
@@ -57,7 +57,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     with alone(out, patience_s=PATIENCE_S):
         stored, robot = load_fits(args.fits)
         ranges = publish_files(stored, args.model, out, as_law=args.as_law, robot=robot)
-    return {"schema": SCHEMA, "fits": args.fits, "outputs": {"model": out, "ranges": ranges}}
+    return {"schema": SCHEMA, "fits": args.fits, "inputs": input_hashes((args.model, *args.fits)),
+            "outputs": {"model": out, "ranges": ranges}}  # fmt: skip
 
 
 def load_fits(paths: Sequence[Path]) -> tuple[list[StoredFit], StoredRobotFit | None]:
