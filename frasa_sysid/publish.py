@@ -219,8 +219,9 @@ def _identity(claims: Claims, root: etree._Element) -> str:
 
 def _made_from(claims: Claims, root: etree._Element, nominal: Path) -> dict[str, Any]:
     """Hashes of all that a calibration comes from, and the frasa that published it."""
-    robot = {} if claims.robot is None else {"robot": claims.robot}
-    fits = {**{one.servo: one for one in claims.benches}, **robot}
+    fits: dict[str, StoredFit | StoredRobotFit] = {one.servo: one for one in claims.benches}
+    if claims.robot is not None:
+        fits["robot"] = claims.robot
     return {
         "nominal": {nominal.name: sha256_of(etree.tostring(root))},
         "fits": {name: one.sha256 for name, one in fits.items()},

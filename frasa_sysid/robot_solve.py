@@ -142,8 +142,8 @@ def _steps(
         # Slopes serve while they find descent; computing them costs ten times as much as a step.
         fresh = not near and gained < _WORTHWHILE * before
         if fresh:
-            x, units = tuple(linear.x.tolist()), tuple(linear.units.tolist())
-            trail.mark(Place(at.stage, x, units, iteration + 1, used, float(cost)))
+            here, noise = tuple(linear.x.tolist()), tuple(linear.units.tolist())
+            trail.mark(Place(at.stage, here, noise, iteration + 1, used, float(cost)))
             tell("slopes", used, cost)
             linear = linearise_robot(problem, stack, linear.x, linear.units, central=False)
             used += linear.x.size + 1
