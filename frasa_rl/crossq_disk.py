@@ -49,6 +49,8 @@ def fill(compiled: Any, script: str = _FILL) -> None:  # noqa: ANN401 - a functi
     """
     if _CHILD in os.environ or compiled.signatures:
         return
+    if compiled.stats.cache_path is None:
+        return  # nothing can be kept, which was said
     folder = Path(compiled.stats.cache_path)
     file, wanted = folder / f"crossq.{_PYTHON}.mark", mark()
     with suppress(OSError, BusyError), alone(file, patience_s=_PATIENCE_S):  # agents of a sweep begin together

@@ -12,6 +12,8 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
+from frasa_sysid.calibration.kept_compiled import kept
+
 PANEL = 32
 Array = npt.NDArray[Any]  # of float32; of float64 in tests
 Value = Any  # a number, vector or pointer of the program that is emitted; llvmlite has no types
@@ -42,7 +44,7 @@ def inlined(function: _Written) -> _Written:
 
 def entry(function: _Written) -> _Written:
     """Compile for Python; what it calls is kept on disk with it."""
-    return cast(_Written, _njit(cache=True, **_OPTIONS)(function))
+    return kept(**_OPTIONS)(function)
 
 
 def registers() -> tuple[int, int]:

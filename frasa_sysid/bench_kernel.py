@@ -12,12 +12,12 @@ from typing import Any
 import mujoco
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from frasa_sysid import kernel as k
 from frasa_sysid.calibration import stepping
 from frasa_sysid.calibration.friction import FIELDS as FRICTION_FIELDS
 from frasa_sysid.calibration.friction import LOG2_LOG2_E
+from frasa_sysid.calibration.kept_compiled import kept
 from frasa_sysid.cost import robust_costs, rooted_residuals
 from frasa_sysid.errors import ModelError
 from frasa_sysid.kernel import LANES, ROWS, IntArray, simulate_blocks
@@ -231,7 +231,7 @@ class BenchKernel:
         list(self._pool.map(work, [np.arange(i, count, parts) for i in range(parts)]))
 
 
-@njit(nogil=True, error_model="numpy", cache=True)
+@kept(nogil=True, error_model="numpy")
 def _fill_lanes(
     candidates: Any,  # noqa: ANN401 (records have no type)
     offsets: FloatArray,

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from frasa_sysid.calibration.kept_compiled import kept
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.rig import BenchRun
 
@@ -39,7 +40,7 @@ def residuals(runs: Sequence[BenchRun], readings: Sequence[FloatArray]) -> list[
 
 
 # Sums may be taken in any order, so that vector instructions take several; NaN is left to IEEE.
-_compiled = njit(nogil=True, error_model="numpy", fastmath={"reassoc", "nsz"}, cache=True)
+_compiled = kept(nogil=True, error_model="numpy", fastmath={"reassoc", "nsz"})
 
 
 @njit(inline="always")

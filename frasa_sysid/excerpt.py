@@ -10,6 +10,7 @@ import numpy as np
 from frasa_sysid.recording import FloatArray, Recording, Signal
 
 WINDOW = 10.0  # [s]; long enough for a motion with its beginning and end
+SHORTEST = 2.0  # [s] of a part, where there are longer ones
 RESOLUTION = 0.05  # [s] from one position to the next when motion is added up: noise is no motion
 SHOWN = 4  # parts that are named
 
@@ -64,6 +65,8 @@ def liveliest(recordings: Sequence[Recording], cost: Callable[[Recording], int],
     for members in logs.values():
         share = most * sum(costs[i] for i in members) / sum(costs)
         windows = [window for i in members for window in _windows(i, recordings[i], costs[i])]
+        # The end of a log may be a window of a few samples.
+        windows = [one for one in windows if one.end - one.begin >= SHORTEST] or windows
         windows.sort(key=lambda one: (-one.travel, one.index, one.begin))
         chosen.append(windows[0])
         left = share - windows[0].cost

@@ -25,6 +25,7 @@ MOVES = 0.02  # [rad], standard deviation, from which on a joint moves
 LATEST = 0.4  # [s] that a joint may be behind its goal
 SPEED_SLOPE = (0.7, 1.4)  # of a velocity over the derivative of the position
 SPEED_FOLLOWS = 0.5
+SPEED_SPAN = 0.01  # [s] to either side that the derivative of a position is taken over, one sample at least
 FEWEST = 16  # readings that a joint is judged by; against its goal, those under power count
 ENOUGH = 2**15  # samples of a joint; of more every second is looked at, or every third, ...
 STEADY = np.radians(3.0)  # of a held trunk's tilt: beyond it zeros are off by as much as they are asked to be known
@@ -192,7 +193,9 @@ def _against_slope(recording: Recording, pair: Pair) -> list[Check]:
         return []
     best_r, best_slope = 0.0, 0.0
     t, q = position.signal.t, position.y
-    middle, speed = (t[2:] + t[:-2]) / 2, (q[2:] - q[:-2]) / (t[2:] - t[:-2])
+    # At a kilohertz one count of an encoder from one sample to the next is a speed of its own.
+    k = min(max(1, round(SPEED_SPAN / float(np.median(np.diff(t))))), (t.size - 1) // 4)
+    middle, speed = (t[2 * k :] + t[: -2 * k]) / 2, (q[2 * k :] - q[: -2 * k]) / (t[2 * k :] - t[: -2 * k])
     told_t, told = _thinned(velocity.signal.t, velocity.y)
     for shift in np.linspace(-LATEST / 4, LATEST / 2, 61):
         x = np.interp(told_t - shift, middle, speed)

@@ -23,10 +23,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from frasa_sysid.calibration.fast_math import fast_sin, fma
 from frasa_sysid.calibration.friction import faded_loss, stribeck_fade
+from frasa_sysid.calibration.kept_compiled import kept
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -58,7 +58,7 @@ _NO_LIMIT = 1e3  # [rad] goal steps from here on are not limited
 def _stepper(law: bool, effects: bool) -> Any:  # noqa: ANN401 (numba's functions have no type)
     """The loop over steps, with or without what lies beyond M1 and beyond a linear motor."""
 
-    @njit(nogil=True, error_model="numpy", fastmath={"nsz"}, cache=True)
+    @kept(nogil=True, error_model="numpy", fastmath={"nsz"})
     def steps(
         h: float,
         count: int,
@@ -131,7 +131,7 @@ _steps_law = _stepper(law=True, effects=False)
 _steps_full = _stepper(law=True, effects=True)
 
 
-@njit(nogil=True, error_model="numpy", cache=True)
+@kept(nogil=True, error_model="numpy")
 def slew_limited(command: FloatArray, most: float) -> FloatArray:
     """A goal that moves by at most `most` [rad] each step, shape as given: the firmware's profile speed."""
     out = np.empty_like(command)
@@ -142,7 +142,7 @@ def slew_limited(command: FloatArray, most: float) -> FloatArray:
     return out
 
 
-@njit(nogil=True, error_model="numpy", cache=True)
+@kept(nogil=True, error_model="numpy")
 def _slew_rows(u: FloatArray, count: int, most: FloatArray) -> None:
     """The same in place for rows of 16 lanes; row 0 is already limited."""
     for k in range(count):
@@ -152,7 +152,7 @@ def _slew_rows(u: FloatArray, count: int, most: FloatArray) -> None:
             u[o + LANES + i] = limited if most[i] < _NO_LIMIT else u[o + LANES + i]
 
 
-@njit(nogil=True, error_model="numpy", cache=True)
+@kept(nogil=True, error_model="numpy")
 def _side_by_side(
     u: FloatArray, values: FloatArray, begin: IntArray, first: int, count: int, low: IntArray, high: IntArray
 ) -> None:
@@ -176,7 +176,7 @@ def _side_by_side(
                     u[k * LANES + lane] = values[min(max(begin[lane] + first + k, low[lane]), high[lane])]
 
 
-@njit(nogil=True, error_model="numpy", cache=True)
+@kept(nogil=True, error_model="numpy")
 def _set_power(h: float, w: FloatArray, i: int, late: float, switches: FloatArray, powered_first: bool, k: int) -> int:
     """Set what depends on the power of lane i in step k; the first later step in which it may differ."""
     power = level = 1.0 if powered_first else 0.0
@@ -203,14 +203,14 @@ def _set_power(h: float, w: FloatArray, i: int, late: float, switches: FloatArra
     return until
 
 
-@njit(nogil=True, error_model="numpy", cache=True)
+@kept(nogil=True, error_model="numpy")
 def _scale_kick(w: FloatArray, share: float) -> None:
     """Make the next steps change speeds by a share of what they would; friction still stops within a step."""
     w[ADVANCE : ADVANCE + LANES] *= share
     w[HOLD : HOLD + LANES] /= share
 
 
-@njit(nogil=True, error_model="numpy", cache=True)
+@kept(nogil=True, error_model="numpy")
 def simulate_blocks(
     blocks: IntArray,
     law: bool,

@@ -75,7 +75,7 @@ def stride_of(t: FloatArray) -> int:
     Args:
         t: their times [s], shape (T,).
     """
-    return max(1, int(1.0 / (FASTEST * float(np.median(np.diff(t)))))) if t.size > 1 else 1
+    return max(1, round(1.0 / (FASTEST * float(np.median(np.diff(t)))))) if t.size > 1 else 1
 
 
 def residual_count(recording: Recording, base: str | None = None) -> int:

@@ -5,8 +5,10 @@ Both command lines use it, so that exit 0 means done, 1 failed while running, 2 
 """
 
 import argparse
+import codecs
 import json
 import math
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -28,6 +30,12 @@ def run_command(parser: argparse.ArgumentParser, arguments: Sequence[str] | None
         parser: the whole command line.
         arguments: words after the program's name; by default those of this process.
     """
+    if arguments is None:
+        _with_utf8_names()
+    odd = next((word for word in (sys.argv[1:] if arguments is None else arguments) if not _is_text(word)), None)
+    if odd is not None:
+        say(f"{parser.prog}: {odd!a} is not UTF-8: rename the file or folder")
+        return 2
     args = parser.parse_args(arguments)
     run: Run = args.run
     try:
@@ -40,6 +48,12 @@ def run_command(parser: argparse.ArgumentParser, arguments: Sequence[str] | None
         return 130
     except BrokenPipeError:
         return 1
+    except UnicodeEncodeError as error:
+        if _is_text(str(error.object)):
+            raise
+        # A file in a folder that was given: models, pages and logs hold names as UTF-8, and this one is none.
+        say(f"{parser.prog}: the name of a file or folder is not UTF-8: rename {ascii(error.object)[:200]}")
+        return 3
     except OSError as error:
         place = error.filename if error.filename is not None else "a file"
         say(f"{parser.prog}: cannot use {place}: {error.strerror or error}")
@@ -48,6 +62,21 @@ def run_command(parser: argparse.ArgumentParser, arguments: Sequence[str] | None
         said = {**result, "versions": result.get("versions") or versions()}
         print(json.dumps(plain(said), indent=2, allow_nan=False))
     return 0
+
+
+def _with_utf8_names() -> None:
+    """Start over in UTF-8 mode where file names are taken for ASCII (LC_ALL=C with PYTHONUTF8=0).
+
+    Python would hand out names that MuJoCo, XML, JSON and MCAP cannot hold.
+    """
+    if codecs.lookup(sys.getfilesystemencoding()).name == "ascii" and sys.orig_argv:
+        environment = {**os.environ, "PYTHONUTF8": "1"}
+        os.execve(sys.executable, [sys.executable, "-X", "utf8", *sys.orig_argv[1:]], environment)
+
+
+def _is_text(word: str) -> bool:
+    """Whether a word of the command line is text, not bytes that no encoding explains."""
+    return not any("\ud800" <= letter <= "\udfff" for letter in word)
 
 
 def say(text: str) -> None:

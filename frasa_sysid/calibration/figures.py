@@ -6,6 +6,7 @@ that whoever draws nothing does not need it.
 
 import base64
 import io
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -104,7 +105,10 @@ def look() -> Iterator[None]:
 def image(figure: "Figure", meaning: str) -> Html:
     """A figure as an element of the page; the same figure gives the same bytes."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None})
+    with warnings.catch_warnings():
+        # A name in letters that the font lacks is a row of boxes in a picture; the page around it has it in full.
+        warnings.filterwarnings("ignore", message=r"Glyph .* missing from font")
+        figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None})
     return image_of(buffer.getvalue(), "png", meaning, round(float(figure.get_figwidth()) * _PIXELS))
 
 

@@ -22,4 +22,4 @@ def show_faults(console: Console, recordings: Sequence[Recording]) -> None:
     for code, count in sorted(counts.items()):
         where = len(set(logs[code]))
         more = f" (in {where} of {len(recordings)} recordings, {count} in all; one says:)" if where > 1 else ":"
-        console.print(f"  {code}{more} {example[code]}", markup=False)
+        console.print(f"  {code}{more} {example[code]}", markup=False, soft_wrap=True)

@@ -5,9 +5,12 @@ import pytest
 from mcap_ros2.writer import Writer as Ros2Writer
 
 from frasa_sysid.errors import LogError, UsageError
+from frasa_sysid.excerpt import liveliest, part, words
 from frasa_sysid.message_definitions import IMU, JOINT_STATE
 from frasa_sysid.readers import read_mcap
 from frasa_sysid.readers.kept_windows import NUMBERS, Limit
+from frasa_sysid.recording import Recording, RigFacts, Signal
+from frasa_sysid.robot_residuals import residual_count, stride_of
 
 S = 10**9
 EPOCH = 1_700_000_000 * S
@@ -108,3 +111,39 @@ def test_between(long_log):
         read_mcap(long_log, limit=Limit(between=(300.0, 400.0)))
     with pytest.raises(UsageError, match="--between 5 2"):
         Limit(between=(5.0, 2.0))
+
+
+def robot_recording(name, seconds, rate, lively, base="fixed"):
+    """Two joints that move in some seconds only, on their own clock."""
+    t = np.arange(round(seconds * rate)) / rate
+    q = np.where((t >= lively[0]) & (t < lively[1]), np.sin(5.0 * t), 0.0)
+    signals = {
+        one: Signal(one, unit, t, np.stack([q, -q], axis=1), ("a", "b"))
+        for one, unit in (("position", "rad"), ("velocity", "rad/s"), ("goal", "rad"))
+    }
+    return Recording(name, signals, RigFacts(base=base), "real", name, "0" * 64, "header")
+
+
+def test_a_fit_takes_the_parts_that_move():
+    """Within a budget every log keeps its share, by the windows that move most; nothing shorter than it is worth."""
+    logs = [
+        robot_recording("up.mcap", 100.0, 100.0, (40.0, 50.0)),
+        robot_recording("down.mcap", 100.0, 100.0, (10.0, 20.0)),
+    ]
+    logs.append(part(robot_recording("up.mcap", 300.0, 100.0, (0.0, 300.0)), 299.5, 300.0))
+    most = 4 * 3000
+    kept = liveliest(logs, residual_count, most)
+    assert sum(residual_count(one) for one in kept) <= most
+    assert [one.name for one in kept] == ["up.mcap@40s", "down.mcap@10s"]
+    assert kept[0].signal("position").t[0] == pytest.approx(0.0, abs=1e-9)
+    assert kept[1].duration == pytest.approx(10.0, abs=0.02)
+    assert words(kept) == "up.mcap: 10 of 100 s (40-50 s); down.mcap: 10 of 100 s (10-20 s)"
+    assert liveliest(logs, residual_count, 10**6) == logs
+    assert words(logs[:2]) == ""
+
+
+def test_a_kilohertz_is_compared_at_200_hz():
+    """Samples that come ten to a correlation time cost memory and tell nothing more."""
+    fast, slow = (robot_recording("a.mcap", 20.0, rate, (0.0, 20.0)) for rate in (1000.0, 100.0))
+    assert (stride_of(fast.signal("position").t), stride_of(slow.signal("position").t)) == (5, 1)
+    assert residual_count(fast) == 2 * residual_count(slow) == 2 * 8000
