@@ -1,6 +1,7 @@
 """Formulas as MathML, which browsers draw by themselves: no JavaScript, no network. The work is docutils' own."""
 
 import html
+import re
 from typing import Any
 
 from docutils import nodes
@@ -9,6 +10,8 @@ from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
 from sphinx.util import logging
 
+# An index of a letter with a dot belongs beside it, not below.
+_DOTTED = re.compile(r"<munder>(\s*<mover accent[^>]*>.*?</mover>.*?)</munder>", re.DOTALL)
 log = logging.getLogger(__name__)
 
 
@@ -16,7 +19,8 @@ def mathml(latex: str, node: nodes.Element, *, block: bool) -> str:
     """MathML of a formula; one that cannot be read is a warning, so a failed build, and stays as text."""
     lines = block and "\\\\" in latex and "\\begin" not in latex
     try:
-        return tex2mathml(f"\\begin{{aligned}}{latex}\\end{{aligned}}" if lines else latex, as_block=block)
+        drawn = tex2mathml(f"\\begin{{aligned}}{latex}\\end{{aligned}}" if lines else latex, as_block=block)
+        return _DOTTED.sub(r"<msub>\1</msub>", drawn)
     except MathError as error:
         log.warning("formula %r: %s", latex, error, location=node)
         return f"<code>{html.escape(latex)}</code>"

@@ -51,6 +51,7 @@ def test_formulas_become_mathml(monkeypatch):
     monkeypatch.setattr(mathml.log, "warning", lambda *words, **_: said.append(words))
     assert "<mfrac>" in mathml.mathml(r"\frac{k_t}{R}", nodes.math(), block=True)
     assert "<mtable" in mathml.mathml(r"a &= b \\ c &= d", nodes.math_block(), block=True)
+    assert "<msub>" in mathml.mathml(r"|\dot q / \dot q_s|^\alpha", nodes.math(), block=False)
     assert not said
     assert mathml.mathml(r"\nonsense x", nodes.math(), block=False) == r"<code>\nonsense x</code>"
     assert said
