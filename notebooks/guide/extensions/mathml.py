@@ -10,8 +10,10 @@ from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
 from sphinx.util import logging
 
-# An index of a letter with a dot belongs beside it, not below.
-_DOTTED = re.compile(r"<munder>(\s*<mover accent[^>]*>.*?</mover>.*?)</munder>", re.DOTALL)
+# An index of a letter with dots belongs beside it, not below.
+_DOTTED = re.compile(
+    r"<munderover>\s*(<m\w+>[^<]*</m\w+>)\s*(<(m\w+)>.*?</\3>)\s*(<mo[^>]*>[˙¨]</mo>)\s*</munderover>", re.DOTALL
+)
 log = logging.getLogger(__name__)
 
 
@@ -20,7 +22,7 @@ def mathml(latex: str, node: nodes.Element, *, block: bool) -> str:
     lines = block and "\\\\" in latex and "\\begin" not in latex
     try:
         drawn = tex2mathml(f"\\begin{{aligned}}{latex}\\end{{aligned}}" if lines else latex, as_block=block)
-        return _DOTTED.sub(r"<msub>\1</msub>", drawn)
+        return _DOTTED.sub(r"<msub><mover>\1\4</mover>\2</msub>", drawn)
     except MathError as error:
         log.warning("formula %r: %s", latex, error, location=node)
         return f"<code>{html.escape(latex)}</code>"
