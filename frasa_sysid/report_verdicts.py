@@ -112,7 +112,9 @@ def kind_of(verdict: str) -> str:
 
 
 def half_width(one: Estimate) -> str:
-    """Half of an interval: in per cent of the value, or in milliseconds and milliradians."""
+    """Half of an interval: in per cent of the value, or in milliseconds and milliradians; of what is known at all."""
+    if not one.excited:
+        return "unknown"  # its interval ends at the bounds of the search, and means nothing
     half = (one.high - one.low) / 2
     if one.unit in _SMALL:
         unit, scale = _SMALL[one.unit]

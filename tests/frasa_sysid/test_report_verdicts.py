@@ -21,6 +21,7 @@ def estimate(name="mx106.kp", value=20.0, half=0.1, unit="N m/rad", verdict="ide
         (estimate(value=0.01, half=0.5, unit="N m"), "± 0.5 N m"),
         (estimate(value=0.0, half=0.25, unit="N m"), "± 0.2 N m"),
         (estimate(value=0.008, half=0.0003, unit="s"), "± 0.3 ms"),
+        (estimate(half=1.0, verdict="not excited"), "unknown"),
         (estimate(value=0.013, half=0.0021, unit="rad"), "± 2.1 mrad"),
     ],
 )
