@@ -6,9 +6,12 @@ record at the head of the file, so that a file cut short still knows its rig. Th
 recordings give the same bytes.
 """
 
+import heapq
 import io
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +27,7 @@ from frasa_sysid.recording import FloatArray, Recording, Signal
 EPOCH = 1_577_836_800 * 10**9  # ns; 2020-01-01T00:00:00Z, so that the bytes depend on the data alone
 SECOND = 10**9
 NAN = float("nan")
+BLOCK = 2048  # messages of a topic that are made at once
 CHUNK_SIZE = 2**17  # bytes; small, so that a file cut short loses little
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -44,7 +48,15 @@ IMU_FIELDS = {
     "orientation": ("orientation", "1", ("w", "x", "y", "z")),
 }
 
-Messages = dict[tuple[int, str, str, tuple[str, ...]], dict[str, Any]]
+
+@dataclass(frozen=True)
+class _Field:
+    """One signal as a field of messages: its stamps [ns] (T,), values (T, k), and how a row of them is written."""
+
+    name: str
+    stamps: np.ndarray[tuple[int], np.dtype[np.int64]]
+    y: FloatArray
+    form: Callable[[list[float]], Any]
 
 
 def write_mcap(
@@ -145,46 +157,47 @@ def _is_battery(signal: Signal) -> bool:
 
 
 def _messages(recording: Recording, start: int) -> Iterator[tuple[int, str, str, dict[str, Any]]]:
-    """Stamp, topic, message type and content, in order of time."""
-    joint = recording.rig.servo or "joint"
-    messages: Messages = defaultdict(dict)
+    """Stamp, topic, message type and content, in order of time; never more than a few thousand at once."""
+    groups: dict[tuple[str, str, tuple[str, ...]], list[_Field]] = defaultdict(list)
     for _, signal in sorted(recording.signals.items()):
-        add = ADD[_schema(signal)]
-        add(messages, signal, start, signal.columns or (joint,))
-    for (stamp, topic, schema, joints), content in sorted(messages.items(), key=lambda item: item[0]):
+        topic, schema, joints, field = _place(signal, start, recording.rig.servo or "joint")
+        groups[topic, schema, joints].append(field)
+    streams = [_stream(*key, fields) for key, fields in groups.items()]
+    for (stamp, topic, schema, joints), content in heapq.merge(*streams, key=itemgetter(0)):
         yield stamp, topic, schema, _finish(schema, stamp, joints, content)
 
 
-def _samples(signal: Signal, start: int) -> Iterator[tuple[int, list[float]]]:
-    rows = signal.y.reshape(signal.t.size, -1).tolist()
-    return zip((start + _nanoseconds(signal.t)).tolist(), rows, strict=True)
+def _place(signal: Signal, start: int, joint: str) -> tuple[str, str, tuple[str, ...], "_Field"]:
+    """Topic, message type and joints that a signal stands under, and itself as a field there."""
+    schema, joints = _schema(signal), signal.columns or (joint,)
+    stamps, y = start + _nanoseconds(signal.t), signal.y.reshape(signal.t.size, -1)
+    if schema == JOINT_STATE:
+        usual, quantity = JOINT_FIELDS[_base(signal)]
+        return _topic(signal, usual), schema, joints, _Field(quantity, stamps, y, list)
+    if schema == IMU:
+        quantity, _, axes = IMU_FIELDS[_base(signal)]
+        field = _Field(quantity, stamps, y, lambda row: dict(zip(axes, row, strict=True)))
+        return _topic(signal, "/imu/data"), schema, (), field
+    if schema == BATTERY_STATE:
+        return "/battery_state", schema, (), _Field("voltage", stamps, y, itemgetter(0))
+    return "/dynamic_joint_states", schema, joints, _Field(signal.name, stamps, y, list)
 
 
-def _add_joints(messages: Messages, signal: Signal, start: int, joints: tuple[str, ...]) -> None:
-    usual, quantity = JOINT_FIELDS[_base(signal)]
-    topic = _topic(signal, usual)
-    for stamp, row in _samples(signal, start):
-        messages[stamp, topic, JOINT_STATE, joints][quantity] = row
-
-
-def _add_interface(messages: Messages, signal: Signal, start: int, joints: tuple[str, ...]) -> None:
-    for stamp, row in _samples(signal, start):
-        messages[stamp, "/dynamic_joint_states", DYNAMIC_JOINT_STATE, joints][signal.name] = row
-
-
-def _add_imu(messages: Messages, signal: Signal, start: int, joints: tuple[str, ...]) -> None:
-    quantity, _, axes = IMU_FIELDS[_base(signal)]
-    topic = _topic(signal, "/imu/data")
-    for stamp, row in _samples(signal, start):
-        messages[stamp, topic, IMU, ()][quantity] = dict(zip(axes, row, strict=True))
-
-
-def _add_battery(messages: Messages, signal: Signal, start: int, joints: tuple[str, ...]) -> None:
-    for stamp, row in _samples(signal, start):
-        messages[stamp, "/battery_state", BATTERY_STATE, ()]["voltage"] = row[0]
-
-
-ADD = {JOINT_STATE: _add_joints, DYNAMIC_JOINT_STATE: _add_interface, IMU: _add_imu, BATTERY_STATE: _add_battery}
+def _stream(
+    topic: str, schema: str, joints: tuple[str, ...], fields: Sequence["_Field"]
+) -> Iterator[tuple[tuple[int, str, str, tuple[str, ...]], dict[str, Any]]]:
+    """The messages of one topic in order of time: what stands at one stamp goes into one of them."""
+    stamps = np.unique(np.concatenate([one.stamps for one in fields]))
+    for begin in range(0, stamps.size, BLOCK):
+        block = stamps[begin : begin + BLOCK]
+        contents: list[dict[str, Any]] = [{} for _ in range(block.size)]
+        for one in fields:
+            low, high = np.searchsorted(one.stamps, (block[0], block[-1] + 1))
+            places = np.searchsorted(block, one.stamps[low:high])
+            for place, row in zip(places.tolist(), one.y[low:high].tolist(), strict=True):
+                contents[place][one.name] = one.form(row)
+        for stamp, content in zip(block.tolist(), contents, strict=True):
+            yield (stamp, topic, schema, joints), content
 
 
 def _finish(schema: str, stamp: int, joints: tuple[str, ...], content: dict[str, Any]) -> dict[str, Any]:

@@ -19,20 +19,20 @@ from big_log import GAIN, write
 
 RAW = """
 import sys
-from mcap.reader import make_reader
+from mcap.reader import NonSeekingReader
 count = size = 0
 with open(sys.argv[1], "rb") as file:
-    for schema, channel, message in make_reader(file).iter_messages(log_time_order=False):
+    for schema, channel, message in NonSeekingReader(file).iter_messages(log_time_order=False):
         count, size = count + 1, size + len(message.data)
 print(count, "messages,", size / 1e9, "GB")
 """
 DECODED = """
 import sys, time
 from itertools import islice
-from mcap.reader import make_reader
+from mcap.reader import NonSeekingReader
 from mcap_ros2.decoder import DecoderFactory
 with open(sys.argv[1], "rb") as file:
-    found = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages(log_time_order=False)
+    found = NonSeekingReader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages(log_time_order=False)
     begin = time.perf_counter()
     count = sum(1 for _ in islice(found, 20000))
 print((time.perf_counter() - begin) / count)

@@ -10,6 +10,7 @@ from hypothesis.extra import numpy as hnp
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from frasa_sysid import writer
 from frasa_sysid.errors import LogError
 from frasa_sysid.readers import read_log
 from frasa_sysid.recording import Fault, Recording, RigFacts, Signal
@@ -175,3 +176,30 @@ def test_replaces_through_a_rename(tmp_path: Path):
     assert list(tmp_path.iterdir()) == [path]
     assert read_log(path)[0].signal("position").t.size == 10
     assert io.BytesIO(path.read_bytes()).read(5) == b"\x89MCAP"
+
+
+def test_messages_are_made_as_they_are_written(tmp_path, monkeypatch):
+    """A log is written a few messages at a time, in order of time over all topics, whatever the size of the pieces."""
+    t = np.arange(50) / 100
+    recording = Recording(
+        name="a",
+        signals={
+            "position": Signal("position", "rad", t, np.sin(t)),
+            "goal": Signal("goal", "rad", t[::3] + 0.001, np.cos(t[::3])),
+            "duty": Signal("duty", "1", t[5:], t[5:]),
+            "gyro": Signal("gyro", "rad/s", t[::2], np.stack([t, t, t], axis=1)[::2], ("x", "y", "z")),
+        },
+        rig=RigFacts(servo="mx106"),
+        origin="real",
+        source="a",
+        sha256="0" * 64,
+        clock="header",
+    )
+    write_mcap(tmp_path / "a.mcap", [recording])
+    monkeypatch.setattr(writer, "BLOCK", 7)
+    write_mcap(tmp_path / "b.mcap", [recording])
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    with (tmp_path / "a.mcap").open("rb") as file:
+        times = [message.log_time for _, _, message in make_reader(file).iter_messages(log_time_order=False)]
+    assert times == sorted(times)
+    assert len(times) == 50 + 17 + 45 + 25
