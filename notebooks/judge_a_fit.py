@@ -92,8 +92,8 @@ profile_figure(simple.evidence.profiles, simple.solved.cost)
 # %% [markdown]
 # ## What a missing recording does
 #
-# The same fit on parts of the log. Green is identified (to 3 %), and the text is half of the 95 % interval. Empty is what was
-# not asked: a motor that is never off has no friction of its own to fit.
+# The same fit on parts of the log. Green is identified (to 3 %), and the text is half of the 95 % interval. Empty is
+# what was not asked: a motor that is never off has no friction of its own to fit.
 #
 # *Look for* the columns that lose their green. Without a run with the torque off, viscous friction cannot be told
 # from the motor's back-EMF. With slow motion only, armature and torque limit are unknown: nothing accelerates,

@@ -1,4 +1,4 @@
-"""A long log of a robot: what inspecting and fitting it takes, in processor time and in memory, beside reading its raw bytes.
+"""A long log of a robot: what inspecting and fitting it takes, processor time and memory, beside reading its raw bytes.
 
     python tests/benchmarks/bench_big_log.py [--hours 2] [--rate 1000] [--joints 20] [--log FILE] [--only inspect,fit]
 

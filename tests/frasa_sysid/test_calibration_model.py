@@ -120,7 +120,7 @@ def test_what_a_model_lacks(model, robot_model_dir, tmp_path):
     bad = tmp_path / "bad.xml"
     for text in ("", "<mujoco>", "<mujoco><worldbody><joint/></worldbody></mujoco>", "\x00"):
         bad.write_text(text)
-        with pytest.raises(ModelError, match="cannot compile|is not XML") as error:
+        with pytest.raises(ModelError, match=r"cannot compile|is not XML") as error:
             load_model(bad)
         assert "\n" not in str(error.value)
     assert servo_classes(mujoco.MjModel.from_xml_string("<mujoco/>")) == ()

@@ -138,7 +138,7 @@ def test_bounds_of_the_table_hold_in_the_fit(place, capsys):
 
 
 def test_a_supply_that_the_firmware_makes_up_for(tmp_path, capsys):
-    """Logs at 8 V of a compensated servo stated at 11.1 V: its gain comes out as it is, not scaled; no range of supply."""
+    """Logs at 8 V of a compensated servo stated at 11.1 V: its gain comes out unscaled; no range of supply."""
     truth = _logs(_table(tmp_path / "c.toml", "true", **TRUTH), tmp_path / "low.mcap", supply_voltage=8.0)
     _table(tmp_path / "same.toml", "true", **TRUTH)
     words = ("--servo", tmp_path / "same.toml", "--evaluations", 60, "--restarts", 1, "--threads", 1)
