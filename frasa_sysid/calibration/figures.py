@@ -77,13 +77,14 @@ def wear_look(dpi: int = 80) -> None:
         ModuleNotFoundError: matplotlib is not installed.
     """
     import matplotlib
+    from cycler import cycler  # matplotlib's own
     from matplotlib import pyplot
 
     if "inline" in (backend := str(matplotlib.rcParams["backend"])):
         pyplot.switch_backend(backend)  # else figures that were not made by pyplot are words to a notebook
     # Here it is the user who writes the texts, formulas among them; and lines without a colour get one of ours.
-    cycle = matplotlib.cycler(color=[BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GREY])
-    own = {"figure.dpi": dpi, "axes.prop_cycle": cycle, "text.parse_math": True}
+    cycle = cycler(color=[BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GREY])
+    own: dict[Any, Any] = {"figure.dpi": dpi, "axes.prop_cycle": cycle, "text.parse_math": True}
     matplotlib.rcParams.update({**_LOOK, **own})
 
 
