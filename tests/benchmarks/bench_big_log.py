@@ -1,13 +1,20 @@
+<<<<<<< HEAD
 """A long log of a robot: what inspecting and fitting it takes, processor time and memory, beside reading its raw bytes.
+=======
+"""A long log of a robot: what inspecting and fitting it takes, in processor time and memory, beside its raw bytes.
+>>>>>>> deac112 (Two hours at a kilohertz and a thousand logs, measured)
 
     python tests/benchmarks/bench_big_log.py [--hours 2] [--rate 1000] [--joints 20] [--log FILE] [--only inspect,fit]
+    python tests/benchmarks/bench_big_log.py --many 1000
 
 The log is made once (`big_log.py`) and kept where --log says. Each command runs in a process of its own, whose peak
-memory is what the system counted. Beside it: the `mcap` library handing out the raw messages, and decoding them.
+memory is what the system counted. Beside it: the `mcap` library handing out the raw messages, and decoding them. With
+--many it is so many logs of a bench, each 6 s long, on one command line, with 256 open files allowed.
 """
 
 import argparse
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -16,6 +23,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 from big_log import GAIN, write
+
+from frasa_sysid.readers import read_log
+from frasa_sysid.writer import write_mcap
 
 RAW = """
 import sys
@@ -57,7 +67,11 @@ def main() -> None:
     parser.add_argument("--joints", type=int, default=20)
     parser.add_argument("--log", type=Path)
     parser.add_argument("--only", default="raw,decoded,inspect,inspect-between,fit,fit-between")
+    parser.add_argument("--many", type=int, help="so many short logs in place of a long one")
     args = parser.parse_args()
+    if args.many:
+        measure_many(args.many)
+        return
     with tempfile.TemporaryDirectory() as folder:
         log = args.log or Path(folder) / "big.mcap"
         if not log.exists():
@@ -68,6 +82,29 @@ def main() -> None:
             f"{log.name}: {args.hours:g} h, {args.rate:g} Hz, {args.joints} joints, {log.stat().st_size / 1e9:.2f} GB"
         )
         measure(log, Path(folder), args.only.split(","))
+
+
+def measure_many(count: int) -> None:
+    """Inspect and fit many logs: runs of the bench in the repository, a file each, again and again."""
+    resource.setrlimit(resource.RLIMIT_NOFILE, (256, 256))
+    frasa = [sys.executable, "-m", "frasa_sysid.cli"]
+    with tempfile.TemporaryDirectory() as folder:
+        logs, one = Path(folder) / "logs", Path(folder) / "one.mcap"
+        logs.mkdir()
+        files = []
+        for recording in read_log(Path("bench_logs/mx106.mcap"))[:20]:
+            write_mcap(one, [recording])
+            files.append(one.read_bytes())
+        for i in range(count):
+            (logs / f"log{i:04d}.mcap").write_bytes(files[i % len(files)])
+        for name, words in {
+            "inspect": ["inspect", *map(str, sorted(logs.iterdir()))],
+            "fit": ["fit", str(logs), "--out", str(Path(folder) / "mx106.json")],
+        }.items():
+            seconds, memory, status, text = child([*frasa, *words])
+            lines = len(text.splitlines())
+            print(f"{name}: {seconds:.0f} s of processor time, {memory:.0f} MB at most, {lines} lines, exit {status}")
+        print(f"page: {(Path(folder) / 'mx106.html').stat().st_size / 1e6:.1f} MB")
 
 
 def measure(log: Path, folder: Path, only: list[str]) -> None:
