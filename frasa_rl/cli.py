@@ -1,4 +1,4 @@
-"""The command line of training: `frasa-rl train | sweep | evaluate | play | rank | keyframe | export`."""
+"""The command line of training: `frasa-rl init | train | sweep | evaluate | play | rank | keyframe | export`."""
 
 import argparse
 import sys
@@ -14,12 +14,12 @@ def build_parser() -> argparse.ArgumentParser:
     Raises:
         ModuleNotFoundError: a package that training needs is not installed.
     """
-    from frasa_rl.commands import evaluate, export, keyframe, play, rank, sweep, train
+    from frasa_rl.commands import evaluate, export, init, keyframe, play, rank, sweep, train
 
     parser = argparse.ArgumentParser(prog="frasa-rl", description=__doc__)
     parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(required=True, metavar="command")
-    for one in (train, sweep, evaluate, play, rank, keyframe, export):
+    for one in (init, train, sweep, evaluate, play, rank, keyframe, export):
         one.add_command(commands)
     return parser
 

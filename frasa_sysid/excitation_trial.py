@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from frasa_sysid.calibration import number
+from frasa_sysid.calibration import hold_history, number
 from frasa_sysid.excitation import Excitation
 from frasa_sysid.holds import down
 from frasa_sysid.robot_body import Joints, bare
@@ -67,6 +67,9 @@ def try_out(path: Path, joints: Joints, excitation: Excitation) -> Trial:
     actuators, qpos, dof = order_of(model, joints)
     data = mujoco.MjData(model)
     data.qpos[qpos] = excitation.goals[0]
+    if (model.actuator_delay > 0.0).any():  # else servos would be told to go to zero first
+        data.ctrl[actuators] = excitation.goals[0]
+        hold_history(model, data)
     h = float(model.opt.timestep)
     t = np.asarray(np.arange(round(excitation.seconds / h)) * h, dtype=np.float64)
     goals = excitation.at(t)

@@ -37,9 +37,10 @@ HOLDS: Mapping[str, Hold] = {
     "side": Hold(math.pi / 2, 0.0, "trunk level on its right side, arms and legs free"),
 }
 RECOMMENDED = (UPRIGHT, "face-down")  # a third tells no more within the same time
-# P of the position loop while a held robot is recorded. A third of the usual 12 lets gravity turn a joint by three
+# P of the position loop while a held robot is recorded. A third of the usual one lets gravity turn a joint by three
 # times as many counts of its encoder, and a zero is known three times as well.
-RECOMMENDED_GAIN = 4.0
+SOFTER = 3.0
+RECOMMENDED_GAIN = 4.0  # of the Sigmaban, whose usual one is 12
 
 
 def holds_of(text: str | None) -> tuple[str, ...]:
@@ -55,15 +56,20 @@ def holds_of(text: str | None) -> tuple[str, ...]:
     return names
 
 
-def gain_of(asked: float | None) -> float:
+def gain_of(asked: float | None, usual: float) -> float:
     """P of the servos while a held robot is recorded: that recommended when nobody says.
 
+    Args:
+        asked: by the user.
+        usual: at which the model's gains hold.
+
     Raises:
-        UsageError: not a gain.
+        UsageError: not a gain, or one far from the usual.
     """
-    gain = RECOMMENDED_GAIN if asked is None else asked
-    if not 1.0 <= gain <= 64.0:
-        raise UsageError(f"--firmware-gain {gain:g}: expected the servos' P, 1 to 64")
+    gain = usual / SOFTER if asked is None else asked
+    low, high = usual / 12.0, usual * 16.0 / 3.0
+    if not low <= gain <= high:
+        raise UsageError(f"--firmware-gain {gain:g}: expected the servos' P, {low:g} to {high:g}")
     return gain
 
 

@@ -4,7 +4,7 @@ Everything a model says about servos, sensors and their delays is taken out: the
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,12 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from frasa_sysid.calibration import actuators_of, load_model, load_spec, servo_classes
+from frasa_sysid.calibration import actuators_of, load_model, load_spec, number, servo_classes
+from frasa_sysid.calibration.anatomy import Hinge, Leg, hinges, legs, trunk_body
 from frasa_sysid.errors import ModelError
+from frasa_sysid.robot_servos import servo_types
 from frasa_sysid.robot_truth import RobotTruth
+from frasa_sysid.servo import Servo
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -34,6 +37,10 @@ class Joints:
         low, high: command limits [rad], shape (n,).
         neutral: angles of the keyframe `neutral`, else 0 within the limits [rad], shape (n,).
         supply_voltage: at which the model's gains hold [V].
+        firmware_gain: P at which they do.
+        types: what the classes are, for simulation.
+        hinges: where the joints are and what they turn about, in the model's order.
+        legs: those of a humanoid; empty where two are not found.
     """
 
     names: tuple[str, ...]
@@ -42,6 +49,11 @@ class Joints:
     low: FloatArray
     high: FloatArray
     neutral: FloatArray
+    supply_voltage: float
+    firmware_gain: float
+    types: Mapping[str, Servo]
+    hinges: tuple[Hinge, ...]
+    legs: tuple[Leg, ...]
 
     @property
     def classes(self) -> tuple[str, ...]:
@@ -74,28 +86,38 @@ def joints_of(path: Path) -> Joints:
     """The servo joints of a robot's model.
 
     Raises:
-        ModelError: no model, no free joint to hold or free, or an actuator that no servo class names.
+        ModelError: no model, no free joint to hold or free, an actuator that no servo class names, or no supply and
+            firmware gain at which its numbers hold.
     """
     model = load_model(path)
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     if free.size != 1:
         raise ModelError(f"{path}: expected a robot with one free joint, found {free.size}")
+    trunk = trunk_body(model)
     servo_of = {int(i): name for name in servo_classes(model) for i in actuators_of(model, name)}
     order = np.argsort(model.actuator_trnid[:, 0], kind="stable")
     unnamed = [model.actuator(int(i)).name for i in order if int(i) not in servo_of]
     if unnamed:
-        raise ModelError(f"{path}: no servo class names actuator {', '.join(unnamed)}")
+        raise ModelError(
+            f"{path}: no servo class names actuator {', '.join(unnamed)}; frasa-rl init makes classes of servos"
+        )
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, KEY)
     low, high = model.actuator_ctrlrange[order].T
     joints = model.actuator_trnid[order, 0]
     rest = model.key_qpos[key][model.jnt_qposadr[joints]] if key >= 0 else np.clip(0.0, low, high)
+    pose = model.key_qpos[key] if key >= 0 else None
     return Joints(
         tuple(model.joint(int(j)).name for j in joints),
         tuple(servo_of[int(i)] for i in order),
-        model.body(int(model.jnt_bodyid[free[0]])).name,
+        model.body(trunk).name,
         np.array(low),
         np.array(high),
         np.array(rest),
+        number(model, "servo_supply_voltage"),
+        number(model, "servo_firmware_gain"),
+        servo_types(path, model),
+        hinges(model, trunk),
+        legs(model, trunk, pose),
     )
 
 
@@ -114,6 +136,11 @@ def build(path: Path, truth: RobotTruth, joints: Joints, timestep: float) -> Bod
         for one in list(several):
             spec.delete(one)
     trunk = spec.body(joints.trunk)
+    if not trunk.explicitinertial:
+        raise ModelError(
+            f"{path}: the trunk '{joints.trunk}' has no <inertial>, so its mass cannot be another one; frasa-rl init "
+            "writes one"
+        )
     trunk.mass *= truth.trunk_mass
     trunk.inertia = trunk.inertia * truth.trunk_mass
     trunk.ipos = trunk.ipos + np.array(truth.trunk_com)

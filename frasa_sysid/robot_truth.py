@@ -17,6 +17,7 @@ from frasa_sysid.servo import PUBLISHED_M4, Servo, servo
 
 Base = Literal["fixed", "floating"]
 FIRMWARE_GAIN = 12.0  # P of the gain set that Rhoban/frasa uses
+SUPPLY = 15.0  # [V] that goes with it; a robot stated at another one has a battery of as many times that
 
 SCALES = (0.85, 1.15)  # of gain, damping and friction of a servo class
 # Ages [s]: around the 30 ms (velocity) and 50 ms (trunk) that FRASA assumes (arXiv 2410.08650 and 2410.08655) ...
@@ -61,6 +62,7 @@ class RobotTruth:
         resistance: of battery and leads [Ohm].
         gyro_bias: [rad/s], trunk frame.
         firmware_gain: P of the servos while this log is taken; `<servo>.kp` is told at the usual one.
+        types: what the servo classes are; those missing are the published ones of that name.
     """
 
     base: Base = "fixed"
@@ -80,6 +82,7 @@ class RobotTruth:
     resistance: float = 0.0
     gyro_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
     firmware_gain: float = FIRMWARE_GAIN
+    types: Mapping[str, Servo] | None = None
 
     def servo(self, name: str) -> Servo:
         """The servo of a class as it is on this robot.
@@ -87,7 +90,8 @@ class RobotTruth:
         Raises:
             UsageError: a class whose load-dependent law nobody published.
         """
-        return scaled(servo(name, PUBLISHED_M4), (self.scales or {}).get(name, Scales()))
+        known = (self.types or {}).get(name) or servo(name, PUBLISHED_M4)
+        return scaled(known, (self.scales or {}).get(name, Scales()))
 
 
 def held(truth: RobotTruth, hold: str, firmware_gain: float | None = None) -> RobotTruth:
@@ -110,7 +114,15 @@ def scaled(one: Servo, by: Scales) -> Servo:
     return replace(one, kt=kt, R=R, friction=friction)
 
 
-def draw(base: Base, seed: int, servos: tuple[str, ...], joints: tuple[str, ...]) -> RobotTruth:
+def draw(
+    base: Base,
+    seed: int,
+    servos: tuple[str, ...],
+    joints: tuple[str, ...],
+    types: Mapping[str, Servo] | None = None,
+    supply: float = SUPPLY,
+    firmware_gain: float = FIRMWARE_GAIN,
+) -> RobotTruth:
     """A random robot; the same seed gives the same one.
 
     Args:
@@ -118,6 +130,9 @@ def draw(base: Base, seed: int, servos: tuple[str, ...], joints: tuple[str, ...]
         seed: zero or more.
         servos: classes of the model.
         joints: those with a servo, in the model's order.
+        types: what the servo classes are.
+        supply: at which the model's gains hold [V].
+        firmware_gain: P at which they do.
     """
     rng = np.random.default_rng((seed, 1))
     scales = {name: Scales(*rng.uniform(*SCALES, 3).tolist()) for name in sorted(servos)}
@@ -132,9 +147,11 @@ def draw(base: Base, seed: int, servos: tuple[str, ...], joints: tuple[str, ...]
         trunk_com=_three(rng.uniform(-TRUNK_COM, TRUNK_COM, 3)),
         roll=_tilt(rng),
         pitch=_tilt(rng),
-        open_voltage=float(rng.uniform(*OPEN_VOLTAGE)),
+        open_voltage=float(rng.uniform(*OPEN_VOLTAGE)) * (supply / SUPPLY),
         resistance=float(rng.uniform(*RESISTANCE)),
         gyro_bias=_three(rng.normal(0.0, GYRO_BIAS, 3)),
+        firmware_gain=firmware_gain,
+        types=types,
         **delays,
     )
 

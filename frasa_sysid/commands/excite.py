@@ -18,7 +18,7 @@ from frasa_sysid.excitation_hung import SHORTEST
 from frasa_sysid.excitation_plan import LONGEST, NO_INFORMATION, UNITS, Plan, Prediction, chosen, plan
 from frasa_sysid.excitation_standing import design as standing
 from frasa_sysid.excitation_trial import FloatArray, largest
-from frasa_sysid.holds import HOLDS, RECOMMENDED, RECOMMENDED_GAIN, gain_of, holds_of
+from frasa_sysid.holds import HOLDS, RECOMMENDED, gain_of, holds_of
 from frasa_sysid.robot_body import Joints, joints_of
 
 SCHEMA = "frasa.excite/1"
@@ -50,7 +50,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         "--firmware-gain",
         type=float,
         metavar="P",
-        help=f"of the servos meanwhile, in the firmware's unit [{RECOMMENDED_GAIN:g}: soft, so that gravity shows]",
+        help="of the servos meanwhile, in the firmware's unit [a third of the model's: soft, so that gravity shows]",
     )
     parser.add_argument("--joints", nargs="+", default=[], metavar="NAME", help="joints that move [all]")
     parser.add_argument("--parameters", nargs="+", default=[], metavar="NAME", help="what must be told [all]")
@@ -126,7 +126,7 @@ def _planned(args: argparse.Namespace, joints: Joints, holds: Sequence[str]) -> 
             parameters,
             args.seconds,
             holds,
-            gain_of(args.firmware_gain),
+            gain_of(args.firmware_gain, joints.firmware_gain),
             progress,
         )
 

@@ -15,7 +15,7 @@ from frasa_sysid.excitation_file import read_excitation
 from frasa_sysid.excitation_hung import SHORTEST, design
 from frasa_sysid.excitation_sizes import fitted_sizes
 from frasa_sysid.excitation_standing import design as standing
-from frasa_sysid.holds import HOLDS, RECOMMENDED, RECOMMENDED_GAIN, UPRIGHT, gain_of, holds_of, part_seconds
+from frasa_sysid.holds import HOLDS, RECOMMENDED, UPRIGHT, gain_of, holds_of, part_seconds
 from frasa_sysid.recording import Recording
 from frasa_sysid.robot_body import Joints, joints_of
 from frasa_sysid.robot_truth import Base, draw, held
@@ -46,7 +46,7 @@ def add_robot_arguments(group: "argparse._ArgumentGroup") -> None:
         "--firmware-gain",
         type=float,
         metavar="P",
-        help=f"of the servos of a held robot [as --excitation says, else {RECOMMENDED_GAIN:g}]",
+        help="of the servos of a held robot [as --excitation says, else a third of the model's]",
     )
     group.add_argument("--roll", type=float, metavar="DEG", help="of a held trunk, in place of --holds: a single run")
     group.add_argument("--pitch", type=float, metavar="DEG", help="likewise, positive forward")
@@ -73,9 +73,9 @@ def run_robot(args: argparse.Namespace) -> dict[str, Any]:
         UsageError: a length or a hold that makes no sense, or an excitation of other joints.
     """
     bases: tuple[Base, ...] = ("fixed", "floating") if args.base == "both" else (args.base or "fixed",)
-    holds = _checked_holds(args, bases)
     path = args.model or MODEL
     joints = joints_of(path)
+    holds = _checked_holds(args, bases, joints)
     runs = [one for base in bases for one in _runs(args, path, joints, base, holds)]
     recordings = [_simulated(args, path, joints, one, f"{args.out.name}#{i:02d}") for i, one in enumerate(runs)]
     write_mcap(args.out, recordings)
@@ -92,7 +92,7 @@ def run_robot(args: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _checked_holds(args: argparse.Namespace, bases: tuple[Base, ...]) -> tuple[str, ...]:
+def _checked_holds(args: argparse.Namespace, bases: tuple[Base, ...], joints: Joints) -> tuple[str, ...]:
     """How the trunk is held, one run after the other, unless excitations say it."""
     for name in TILT:
         angle = getattr(args, name)
@@ -101,7 +101,7 @@ def _checked_holds(args: argparse.Namespace, bases: tuple[Base, ...]) -> tuple[s
     tilted = any(getattr(args, name) is not None for name in TILT)
     if args.firmware_gain is not None and bases == ("floating",):
         raise UsageError("--firmware-gain is for a held trunk (--base fixed)")
-    gain_of(args.firmware_gain)
+    gain_of(args.firmware_gain, joints.firmware_gain)
     if args.excitation is not None and len(bases) > 1:
         raise UsageError("--excitation is for one base, not for --base both")
     if args.holds is not None and (bases == ("floating",) or tilted or args.excitation is not None):
@@ -124,7 +124,7 @@ def _runs(args: argparse.Namespace, path: Path, joints: Joints, base: Base, hold
         told, each = [standing(joints, max(length, SHORTEST))], [length]
     else:
         length = part_seconds(args.seconds or SECONDS, holds)
-        gain = gain_of(args.firmware_gain)
+        gain = gain_of(args.firmware_gain, joints.firmware_gain)
         told = [_designed(path, joints, hold, gain, max(length, SHORTEST)) for hold in holds]
         each = [length] * len(holds)
     return [_Run(base, one, seconds, i) for i, (one, seconds) in enumerate(zip(told, each, strict=True))]
@@ -132,7 +132,16 @@ def _runs(args: argparse.Namespace, path: Path, joints: Joints, base: Base, hold
 
 def _simulated(args: argparse.Namespace, path: Path, joints: Joints, run: _Run, name: str) -> Recording:
     gain = (args.firmware_gain if run.base == "fixed" else None) or run.excitation.firmware_gain
-    truth = held(draw(run.base, args.seed or 0, joints.classes, joints.names), run.excitation.hold, gain)
+    drawn = draw(
+        run.base,
+        args.seed or 0,
+        joints.classes,
+        joints.names,
+        joints.types,
+        joints.supply_voltage,
+        joints.firmware_gain,
+    )
+    truth = held(drawn, run.excitation.hold, gain)
     roll = truth.roll if args.roll is None else math.radians(args.roll)
     pitch = truth.pitch if args.pitch is None else math.radians(args.pitch)
     truth = replace(truth, roll=roll, pitch=pitch)
