@@ -12,6 +12,7 @@ import pickle
 import shutil
 import struct
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,12 +22,13 @@ import numpy as np
 
 from frasa_rl.snapshots import Arrays
 from frasa_sysid.calibration import InputError, cannot_write
+from frasa_sysid.calibration.plain_arrays import read_arrays
 
 FOLDER = "checkpoints"
 _MODEL, _STATE = "model.zip", "state.npz"
 _BROKEN = (
     OSError, EOFError, ValueError, KeyError, IndexError, TypeError, RuntimeError, NotImplementedError, struct.error,
-    pickle.UnpicklingError, zipfile.BadZipFile,
+    pickle.UnpicklingError, zipfile.BadZipFile, zlib.error, AttributeError, OverflowError, AssertionError,
 )  # fmt: skip
 
 
@@ -97,12 +99,25 @@ def load_checkpoint(
         raise CheckpointError(f"{run} has no checkpoint to resume from")
     newest = folders[-1]
     try:
-        with np.load(newest / _STATE, allow_pickle=False) as file:
-            state = {name: file[name] for name in file.files}
+        # Nothing is packed, so the arrays are as large as the file.
+        state = read_arrays(newest / _STATE, (newest / _STATE).stat().st_size)
         if str(state.pop("mark")) != mark:
             raise ValueError("it belongs to a run with another model, task, or settings")
+        _check_unpacked(newest / _MODEL)
         load_model(newest / _MODEL)
         restore(state)
     except _BROKEN as error:
         said = " ".join(str(error).split()) or type(error).__name__
         raise CheckpointError(f"cannot resume from {newest}: {said}") from error
+
+
+def _check_unpacked(path: Path) -> None:
+    """See that SB3's file holds its members as they are, as SB3 writes it: what is packed can be any size.
+
+    Raises:
+        ValueError: one is packed.
+    """
+    with zipfile.ZipFile(path) as archive:
+        for member in archive.infolist():
+            if member.compress_type != zipfile.ZIP_STORED:
+                raise ValueError(f"{path.name} holds {member.filename[:40]} packed, expected it as SB3 writes it")

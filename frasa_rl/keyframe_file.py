@@ -97,8 +97,11 @@ def _numbers(value: object, where: str) -> tuple[float, ...]:
 
 def _number(value: object, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise KeyframeError(f"{where}: {value!r} is not a number")
-    return float(value)
+        raise KeyframeError(f"{where}: {str(value)[:40]!r} is not a number")
+    try:
+        return float(value)
+    except OverflowError:
+        raise KeyframeError(f"{where}: a number of {len(str(value))} digits, expected a smaller one") from None
 
 
 class _Flow(yaml.SafeDumper):

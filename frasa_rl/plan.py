@@ -160,7 +160,9 @@ def plan_from(said: Mapping[str, Any], out: Path, where: str) -> Plan:
             device=said["device"],
             task=task_from(said["task"], where),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except UsageError as error:  # said by a file, it is no mistake on the command line
+        raise InputError(f"{where}: {error}") from error
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(f"{where}: missing or wrong field: {error!r}") from error
 
 

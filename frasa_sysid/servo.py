@@ -12,7 +12,7 @@ from frasa_sysid.servo_type import Servo
 __all__ = ["NOMINAL", "PUBLISHED_M4", "TABLES", "Servo", "find_table", "is_table", "read_servo", "servo"]
 
 FOLDER = "servos"
-_LARGEST = 1_000_000  # [bytes]
+_LARGEST = 2**16  # [bytes]
 
 
 def _come_with_frasa() -> dict[str, ServoTable]:

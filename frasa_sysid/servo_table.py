@@ -34,13 +34,13 @@ The servos that come with frasa are such files too, in the folder `servos` of th
 
 import math
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from frasa_sysid.calibration.friction import FIELDS as FRICTION_FIELDS
 from frasa_sysid.calibration.friction import LAWS, Friction
+from frasa_sysid.calibration.plain_toml import parse_toml
 from frasa_sysid.errors import InputError
 from frasa_sysid.readers.signal_entry import check_keys
 from frasa_sysid.servo_quantity import Quantity, above_zero, quantity
@@ -87,9 +87,9 @@ def parse_servo(name: str, content: bytes) -> ServoTable:
     """
     where = f"servo table {name}"
     try:
-        table = tomllib.loads(content.decode("utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"{where} is not TOML: {' '.join(str(error).split())}") from error
+        table = parse_toml(content)
+    except ValueError as error:
+        raise InputError(f"{where} is not TOML: {error}") from error
     check_keys(where, table, TOP)
     if table.get("schema") != SCHEMA:
         raise InputError(f"{where}: schema = {str(table.get('schema'))[:30]!r}, expected '{SCHEMA}'")

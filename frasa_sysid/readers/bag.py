@@ -126,11 +126,12 @@ def _collect(reader: Any, ros1: bool, mapping: SignalMap | None, collected: Coll
     """Decode the topics that are of use; what was lost of a file that is damaged further on."""
     decoders: dict[tuple[str, str], Decode] = {}
     ros2 = DecoderFactory()
+    wanted = []
     for i, one in enumerate(reader.connections):
         decode = _decoder(one, ros1, mapping, collected, ros2, i + 1)
         if decode is not None:
             decoders[one.topic, one.msgtype] = decode
-    wanted = [one for one in reader.connections if (one.topic, one.msgtype) in decoders]
+            wanted.append(one)
     if not wanted:
         collected.report.messages = reader.message_count  # none of them of use: which there are is said
         return []

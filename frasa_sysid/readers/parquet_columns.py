@@ -31,15 +31,23 @@ class ParquetFile:
                 f"{path}: Parquet needs the package pyarrow; install it with: pip install 'frasa[formats]'"
             ) from None
         self.path = path
-        self._error: Any = pa.ArrowException
+        # Names that are no text come as errors of the decoding.
+        self._error: Any = (pa.ArrowException, OSError, UnicodeDecodeError)
         try:
             self._file = pq.ParquetFile(path)
-        except (pa.ArrowException, OSError) as error:
+        except self._error as error:
             raise LogError(f"{path} is not a Parquet file, or cut off: {_one_line(error)}") from error
 
     def names(self) -> Sequence[str]:
-        """The columns that there are."""
-        return list(self._file.schema_arrow.names)
+        """The columns that there are.
+
+        Raises:
+            LogError: damaged.
+        """
+        try:
+            return list(self._file.schema_arrow.names)
+        except self._error as error:
+            raise LogError(f"{self.path} is damaged: {_one_line(error)}") from error
 
     def load(self, wanted: Sequence[str], times: Sequence[str]) -> Loaded:
         """Some columns.
@@ -53,7 +61,7 @@ class ParquetFile:
             for batch in self._file.iter_batches(batch_size=ROWS, columns=names):
                 for name in names:
                     blocks[name].append(self._block(name, batch.column(name), name in times))
-        except (self._error, OSError) as error:
+        except self._error as error:
             raise LogError(f"{self.path} is damaged: {_one_line(error)}") from error
         if not blocks[names[0]]:
             raise LogError(f"{self.path} holds no rows")

@@ -18,7 +18,6 @@
 Maps that come with frasa stand in the folder `maps` and go by their file's name.
 """
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
@@ -26,6 +25,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from frasa_sysid.calibration.bounded_read import read_limited
+from frasa_sysid.calibration.plain_toml import parse_toml
 from frasa_sysid.errors import InputError
 from frasa_sysid.readers.signal_entry import Entry, check_keys, make_entry, number_of, text_of
 from frasa_sysid.readers.units import TIME_UNITS
@@ -118,8 +118,8 @@ def parse_map(name: str, content: bytes, builtin: bool) -> SignalMap:
     """A map from the bytes of its file; see `load_map`."""
     where = f"map {name}"
     try:
-        table = tomllib.loads(content.decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:  # of syntax, of characters, of numbers and dates that cannot be
+        table = parse_toml(content)
+    except ValueError as error:
         raise InputError(f"{where} is not TOML: {error}") from error
     check_keys(where, table, TOP_KEYS)
     rows = table.get("signal")

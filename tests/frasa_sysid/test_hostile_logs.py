@@ -20,6 +20,7 @@ from frasa_sysid.readers.signal_entry import make_entry
 from frasa_sysid.readers.signal_map import load_map, parse_map
 from frasa_sysid.readers.sources import read_bytes
 from frasa_sysid.recording import Fault
+from frasa_sysid.servo import read_servo
 
 MAGIC = b"\x89MCAP0\r\n"
 ZEROS = bytes(40 * 2**20)
@@ -139,12 +140,14 @@ def test_stars_of_a_map_end():
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [
-        (b"rate = 0x" + b"f" * 6000, "unknown key 'rate'"),
-        (ENTRY + b"[time]\nrate = 0x" + b"f" * 6000, "rate = a number of thousands of digits, expected a number"),
-        (ENTRY + b"[time]\ncolumn = 0x" + b"f" * 6000, "column = a number of thousands of digits, expected text"),
+        (b"rate = 0x" + b"f" * 6000, "a whole number of more than 64 bits"),
+        (ENTRY + b"[time]\nrate = 0x" + b"f" * 6000, "a whole number of more than 64 bits"),
+        (ENTRY + b"[time]\ncolumn = 0x" + b"f" * 6000, "a whole number of more than 64 bits"),
         (b"a" * 5000 + b" = 1", "unknown key 'a{60}'"),
         (b"x = 2020-99-99", "is not TOML"),
         (b"a." * 40_000 + b"b = 1", "larger than 64 KiB"),
+        (b"a." * 20_000 + b"b = 1", "a key of more than 20 parts"),
+        (b"x = {" + b"'a' . " * 9000 + b"b = 1}", "a key of more than 20 parts"),
     ],
 )
 def test_maps_that_were_made_to_do_harm(tmp_path, content, complaint):
@@ -196,3 +199,16 @@ def test_errors_are_one_line():
     assert len(text) <= 1500
     assert text.startswith("a: found 'b c [31m '")
     assert text.endswith("end")
+
+
+def test_servo_tables_are_bounded_too(tmp_path):
+    """A key of thousands of parts took gigabytes; a number of thousands of digits could not be quoted."""
+    path = tmp_path / "a.toml"
+    for content, complaint in (
+        (b"a." * 20_000 + b"b = 1", "a key of more than 20 parts"),
+        (b'schema = "frasa.servo/1"\nname = 0x' + b"f" * 6000, "more than 64 bits"),
+        (b"#" * 2**17, "expected a small TOML file"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=complaint):
+            read_servo(path)

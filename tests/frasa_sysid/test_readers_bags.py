@@ -331,3 +331,20 @@ def test_metadata_of_a_folder_is_plain(bags, tmp_path):
         metadata.write_text(good + more)
         with pytest.raises(LogError, match="is not YAML"):
             read_bag(metadata)
+
+
+def test_topics_of_metadata_that_are_no_text(bags, tmp_path):
+    """YAML may hold anything for a name or type: it costs that topic, or the bag, not a traceback."""
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    for source in bags["folder"].parent.iterdir():
+        (folder / source.name).write_bytes(source.read_bytes())
+    metadata = folder / "metadata.yaml"
+    good = metadata.read_text()
+    for word in ("name: /joint_states", "type: sensor_msgs/msg/JointState"):
+        assert word in good
+        metadata.write_text(good.replace(word, f"{word.partition(':')[0]}: {{a: 1}}"))
+        found = read_bag(metadata)[0]
+        assert "goal" in found.signals
+        assert "velocity@/joint_states" not in found.signals
+        assert any("no text" in fault.message for fault in found.faults)

@@ -88,6 +88,17 @@ def _map() -> list[Case]:
     ]
 
 
+def _servo() -> list[Case]:
+    return [
+        single(b"a = " + b"[" * 100_000, "a.toml", "nested", refuse=True),
+        single(b'schema = "frasa.servo/1"\nname = 0x' + b"f" * 6000, "a.toml", "a number of many digits", refuse=True),
+        single(b"a." * 100_000 + b"b = 1", "a.toml", "a long key", refuse=True),
+        single(b"\n".join(b"a%d = 1" % i for i in range(400_000)), "a.toml", "400 000 keys", refuse=True),
+        single(b"\xff\xfe", "a.toml", "not UTF-8", refuse=True),
+        Case({"a.toml": None}, "a.toml", "a folder", refuse=True),
+    ]
+
+
 def _matlab() -> list[Case]:
     import zlib
 
@@ -144,6 +155,7 @@ MADE: dict[str, Callable[[], list[Case]]] = {
     **{form: _text_maker(form) for form in NAMES},
     "npz": _npz,
     "map": _map,
+    "servo table": _servo,
     "emps": _matlab,
     "parquet": _parquet,
     "fit": lambda: _json_files("fit.json"),

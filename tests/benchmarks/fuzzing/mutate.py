@@ -81,7 +81,7 @@ def _zip(content: bytes, rng: random.Random) -> bytes:
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = {one.filename: archive.read(one) for one in archive.infolist()}
-    except (zipfile.BadZipFile, NotImplementedError, zlib.error, EOFError, RuntimeError, OSError):
+    except (zipfile.BadZipFile, NotImplementedError, zlib.error, EOFError, RuntimeError, OSError, ValueError):
         return damage_bytes(content, rng)
     if not members:
         return damage_bytes(content, rng)

@@ -112,6 +112,16 @@ def _rig_table() -> Read:
     return read
 
 
+def _servo() -> Read:
+    from frasa_sysid.servo import find_table
+
+    def read(path: Path) -> int:
+        find_table(str(path))
+        return 0
+
+    return read
+
+
 def _excitation() -> Read:
     from frasa_sysid.excitation_file import read_excitation
 
@@ -205,6 +215,10 @@ TARGETS: dict[str, Target] = {
     "rosbag .db3": Target(lambda: _bags()["db3"], partial(_log, "rosbag")),
     "rosbag folder": Target(lambda: _bags()["bag_folder"], partial(_log, "rosbag")),
     "rig table": Target(_rig_tables, _rig_table, 0.5),
+    "servo table": Target(
+        lambda: [single(one.read_bytes(), "a.toml") for one in sorted((ROOT / "frasa_sysid/servos").glob("*.toml"))],
+        _servo,
+    ),
     "excitation": Target(_excitations, _excitation, 0.5),
     "model (MJCF)": Target(_models, _model, 2.0),
     "ranges (YAML)": Target(
