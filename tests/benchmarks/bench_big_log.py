@@ -1,8 +1,4 @@
-<<<<<<< HEAD
-"""A long log of a robot: what inspecting and fitting it takes, processor time and memory, beside reading its raw bytes.
-=======
 """A long log of a robot: what inspecting and fitting it takes, in processor time and memory, beside its raw bytes.
->>>>>>> deac112 (Two hours at a kilohertz and a thousand logs, measured)
 
     python tests/benchmarks/bench_big_log.py [--hours 2] [--rate 1000] [--joints 20] [--log FILE] [--only inspect,fit]
     python tests/benchmarks/bench_big_log.py --many 1000
