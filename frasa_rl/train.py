@@ -12,6 +12,7 @@ runs/NAME/tensorboard/        everything as curves
 
 import random
 import shutil
+import threading
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -86,8 +87,13 @@ def _train_alone(plan: Plan, resume: bool, curriculum: Curriculum | None) -> dic
     elif (plan.out / RUN_FILE).exists():
         raise UsageError(f"{plan.out} already holds a run: choose another --out, or --resume {plan.out}")
     loop = make_loop(plan, curriculum)
+    threading.excepthook = _unless_told
     try:
-        return _Run(plan, description, loop).go(resume=resume)
+        run = _Run(plan, description, loop)
+        try:
+            return run.go(resume=resume)
+        finally:
+            run.close()
     except OutputError as error:
         raise OutputError(f"{error}; {_advice(plan.out)}") from error
     except OSError as error:  # TensorBoard's files, which know no names in their errors
@@ -99,6 +105,12 @@ def _train_alone(plan: Plan, resume: bool, curriculum: Curriculum | None) -> dic
 
 def _advice(out: Path) -> str:
     return f"then go on with --resume {out}" if (out / RUN_FILE).exists() else "no step was saved yet"
+
+
+def _unless_told(error: threading.ExceptHookArgs) -> None:
+    """TensorBoard's thread tells the run what it cannot write, and that ends the run: no traceback beside that."""
+    if not (issubclass(error.exc_type, OSError) and type(error.thread).__module__.startswith("tensorboard")):
+        threading.__excepthook__(error)
 
 
 def make_loop(plan: Plan, curriculum: Curriculum | None = None) -> Loop:
@@ -143,6 +155,11 @@ class _Run:
         self._held_out: HeldOut | None = None
         self._interrupt = Interrupt()
         self._saved_at = 0
+
+    def close(self) -> None:
+        """End TensorBoard's thread, its file whole where there is room for that."""
+        with suppress(OSError):
+            self._logger.close()
 
     def go(self, *, resume: bool) -> dict[str, Any]:
         out = self._plan.out

@@ -19,6 +19,7 @@ import frasa_sysid
 from frasa_sysid.calibration import (
     Calibration,
     CalibrationError,
+    OutputError,
     calibration_id,
     delay_room,
     load_model,
@@ -144,7 +145,10 @@ def write(
     """
     candidate = out.with_name(f".{out.stem}.candidate.xml")
     try:
-        write_atomic(candidate, published.xml)
+        try:
+            write_atomic(candidate, published.xml)
+        except OutputError as error:  # the name that the user knows
+            raise OutputError(str(error).replace(str(candidate), str(out))) from error
         model = load_model(candidate)
         check_compiled(model, published.calibration, published.claims, nominal)
         if check is not None:

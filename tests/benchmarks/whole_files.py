@@ -80,6 +80,8 @@ def _read(path: Path) -> None:
     elif kind == ".npz":
         with np.load(path, allow_pickle=False) as file:
             assert all(file[name].size >= 0 for name in file.files)
+    elif kind == ".txt":
+        assert data.decode().endswith("\n")
     elif kind == ".mcap":
         assert data.endswith(b"\x89MCAP0\r\n")
     else:

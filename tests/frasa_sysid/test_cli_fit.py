@@ -267,7 +267,7 @@ def test_a_file_that_is_no_log(place, capsys, content):
         (["--model", "typo.xml"], 3, "no model at"),
         (["--bench-model", "typo.xml"], 3, "no model at"),
         (["--bench-model", "NOMINAL"], 3, "one hinge"),
-        (["--out", "few.mcap/fits/a.json"], 1, "cannot use"),
+        (["--out", "few.mcap/fits/a.json"], 1, "cannot write"),
         (["--out", "page.html"], 2, ".json"),
         (["--restarts", 0], 2, "--restarts"),
         (["--bootstrap", -1], 2, "--bootstrap"),

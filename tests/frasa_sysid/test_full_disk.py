@@ -45,8 +45,8 @@ def fitted(robot_model_dir, tmp_path_factory):
     ("command", "size", "lacking"),
     [
         ("fit LOG --model nominal.xml --publish --no-report --seed 5", 500, "fits/mx64.partial.json"),
-        ("publish fits/mx64.json --model nominal.xml --as m1", 500, ".calibrated.candidate.xml"),
-        ("publish fits/mx64.json --model nominal.xml", 2_200, ".calibrated.candidate.xml"),
+        ("publish fits/mx64.json --model nominal.xml --as m1", 500, "write calibrated.xml"),
+        ("publish fits/mx64.json --model nominal.xml", 2_200, "write calibrated.xml"),
         ("excite --base floating --model nominal.xml --out goals.mcap --csv --seconds 12", 50_000, "goals.mcap"),
         ("export-bam fits/mx64.json --out m1.json", 50, "m1.json"),
     ],
