@@ -64,8 +64,8 @@ def _hook(event: str, args: tuple[Any, ...]) -> None:
 
 def _check(event: str, path: "str | bytes | Path", writes: bool) -> None:
     real = os.path.realpath(os.fsdecode(path))
-    inside = real.startswith(_allowed[:]) and not (
-        writes and not real.startswith((_input(), "/dev/null", "/proc/self"))
+    inside = real.startswith((*_allowed, _run())) and not (
+        writes and not real.startswith((_input(), _run(), "/dev/null", "/proc/self"))
     )
     temporary = real.startswith("/tmp/") and "tmp" in Path(real).parts[2]
     if not inside and not temporary:
@@ -74,6 +74,11 @@ def _check(event: str, path: "str | bytes | Path", writes: bool) -> None:
 
 def _input() -> str:
     return os.path.realpath(Path.cwd())
+
+
+def _run() -> str:
+    """The folder of the run that checkpoints are put into: taking one up writes its tables anew."""
+    return os.path.realpath(os.environ.get("FRASA_FUZZ_RUN", Path.cwd()))
 
 
 def _by_parser() -> bool:
