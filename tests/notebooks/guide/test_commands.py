@@ -53,7 +53,7 @@ def law_once():
 @pytest.fixture
 def copy(tmp_path, monkeypatch, law_once):
     """A scratch copy of the repository's data, the working folder of a page's reader."""
-    for name in ("robot_model", "bench_logs"):
+    for name in ("robot_model", "bench_logs", "tests/frasa_rl/heron"):
         shutil.copytree(ROOT / name, tmp_path / name)
     shutil.copytree(GUIDE, tmp_path / "notebooks" / "guide", ignore=shutil.ignore_patterns("generated", "__pycache__"))
     for name in ("Makefile", "pyproject.toml", "constraints.txt"):
