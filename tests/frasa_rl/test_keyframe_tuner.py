@@ -55,7 +55,9 @@ def test_a_spoilt_routine_gets_better(shipped, falls):
         tuple(replace(key, duration_s=2.0 * key.duration_s) for key in shipped.prone.keys), 2.0 * shipped.prone.rise_s
     )
     spoilt, saved, costs = replace(shipped, prone=slow), [], []
-    best = tune(spoilt, falls, SHORT, saved.append, lambda now: costs.append(now.cost))
+    # Small steps and enough of them: another processor's rounding changes single trials, and still some are quicker.
+    short = replace(SHORT, sigma=0.08, population=8, seed=4)
+    best = tune(spoilt, falls, short, saved.append, lambda now: costs.append(now.cost))
     assert saved
     assert best == saved[-1]
     assert best.prone != slow

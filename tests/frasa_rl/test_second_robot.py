@@ -205,8 +205,9 @@ def test_the_readmes_commands_run(robot_model_dir, tmp_path, monkeypatch, capsys
     commands = [line.strip() for line in section.splitlines() if line.startswith("    frasa-rl ")]
     assert len(commands) == 4
     for command in commands:
-        words = command.partition("#")[0].replace("--minutes 30", "--steps 600")
+        words = command.partition("#")[0].replace("--minutes 8 ", "--steps 600 ")
         words = words.replace("--trials 20", "--trials 1").replace("--protocol push", "--protocol push --push-trials 1")
+        assert "--minutes" not in words, "the README's minutes are not the ones replaced here"
         code = main(words.split()[1:])
         if code == 1 and "cannot draw without a window" in capsys.readouterr().err:
             pytest.skip("this machine cannot draw")

@@ -219,5 +219,5 @@ def test_broken_files_are_said_to_be_broken(tmp_path, content):
     path = tmp_path / "model.xml"
     if content is not None:
         path.write_text(content)
-    with pytest.raises(ModelError, match=r"no model at|cannot compile|lacks joint"):
+    with pytest.raises(ModelError, match=r"no model at|is not XML|cannot compile|lacks joint"):
         StandUp(path)
