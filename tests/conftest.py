@@ -1,8 +1,10 @@
 """Paths, and a hand-made fit of a whole robot, that several test folders need."""
 
 import os
+import resource
 import shutil
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -35,6 +37,32 @@ def law_as_before() -> Iterator[None]:
     yield
     if not before:
         servo_law.uninstall()
+
+
+@contextmanager
+def _no_file_above(size: int) -> Iterator[None]:
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.fixture
+def no_file_above() -> Callable[[int], AbstractContextManager[None]]:
+    """A full disk that any machine has: within it, files of this process may have so many bytes."""
+    return _no_file_above
+
+
+def _contents(folder: Path) -> dict[str, bytes]:
+    return {one.relative_to(folder).as_posix(): one.read_bytes() for one in folder.rglob("*") if one.is_file()}
+
+
+@pytest.fixture
+def contents() -> Callable[[Path], dict[str, bytes]]:
+    """All files of a folder, by path below it."""
+    return _contents
 
 
 @pytest.fixture(scope="session")

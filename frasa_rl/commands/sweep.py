@@ -66,24 +66,17 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     out = args.resume or args.out or Path("runs") / f"sweep-{datetime.now():%Y%m%d-%H%M%S}"
     if args.resume:
         check_resumed(args, "first_seed")
-    # What cannot be is said before a lock makes the folder.
-    _begun(args, out)
+        read_sweep(out)  # says that there is none before a lock makes its folder
     with alone(out, folder=True):
-        # Another process may have begun or changed it since.
-        return _sweep(args, _begun(args, out))
-
-
-def _begun(args: argparse.Namespace, out: Path) -> Sweep:
-    sweep = _resumed(args) if args.resume else _new(args, out)
-    if args.rank and not sweep.run["settings"]["evaluate_steps"]:
-        raise UsageError("--rank chooses by held-out falls: give --evaluate-steps more than 0")
-    return sweep
+        return _sweep(args, _resumed(args) if args.resume else _new(args, out))
 
 
 def _sweep(args: argparse.Namespace, sweep: Sweep) -> dict[str, Any]:
     """The sweep, with nobody else writing the same folder."""
     from frasa_rl.sweep import run_sweep
 
+    if args.rank and not sweep.run["settings"]["evaluate_steps"]:
+        raise UsageError("--rank chooses by held-out falls: give --evaluate-steps more than 0")
     gpu = sweep.run["device"] != "cpu"
     jobs = args.jobs or (1 if args.cluster else usual_jobs(all_threads(), gpu=gpu))
     result = run_sweep(sweep, jobs, args.cluster)

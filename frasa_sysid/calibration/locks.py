@@ -47,7 +47,7 @@ def alone(output: Path, *, folder: bool = False, patience_s: float = 0.0) -> Ite
     if mine in _mine:
         yield
         return
-    made = not path.parent.exists()
+    made = [one for one in path.parents if not one.exists()]  # innermost first
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = _taken(output, path, patience_s)
@@ -61,9 +61,9 @@ def alone(output: Path, *, folder: bool = False, patience_s: float = 0.0) -> Ite
         with suppress(OSError):  # while it is held: whoever waits for this very file sees that it is gone
             path.unlink()
         os.close(file)
-        if made:
-            with suppress(OSError):  # nothing came of it
-                path.parent.rmdir()
+        with suppress(OSError):  # folders stay where something came of it
+            for one in made:
+                one.rmdir()
 
 
 def _taken(output: Path, path: Path, patience_s: float) -> int:

@@ -1,7 +1,5 @@
 """A disk that fills while training, exporting and evaluating (here: files that may not grow); then it goes on."""
 
-import resource
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -19,42 +17,33 @@ SETTINGS = [word for one in (*TINY, "end_gyro=5") for word in ("--set", one)]
 LIMIT = 20_000  # above a policy's weights, below a checkpoint and a picture
 
 
-@contextmanager
-def no_file_above(size):
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
-def contents(folder):
-    return {one.relative_to(folder).as_posix(): one.read_bytes() for one in folder.rglob("*") if one.is_file()}
-
-
-def refused(words, capsys, size=LIMIT):
+@pytest.fixture
+def refused(no_file_above, capsys):
     """Run without room: the one line it ends with."""
-    with no_file_above(size):
-        assert main(words) == 1
-    last = capsys.readouterr().err.rstrip("\n").rpartition("\n")[2]
-    assert last.startswith("frasa-rl: cannot write ")
-    assert "raise the limit, or write elsewhere" in last
-    return last
+
+    def run(words, size=LIMIT):
+        with no_file_above(size):
+            assert main(words) == 1
+        last = capsys.readouterr().err.rstrip("\n").rpartition("\n")[2]
+        assert last.startswith("frasa-rl: cannot write ")
+        assert "raise the limit, or write elsewhere" in last
+        return last
+
+    return run
 
 
-def test_a_run_goes_on_when_there_is_room(robot_model_dir, tmp_path, capsys):
+def test_a_run_goes_on_when_there_is_room(robot_model_dir, tmp_path, refused, contents):
     """Without room for the first checkpoint nothing begins; later the older checkpoint and policy stay."""
     run, model = tmp_path / "run", str(robot_model_dir / "nominal.xml")
     words = ["train", "--model", model, "--device", "cpu", *SETTINGS, "--steps", "64", "--no-report", "--out", str(run)]
-    last = refused(words, capsys)
+    last = refused(words)
     assert "checkpoints/000000000" in last
     assert last.endswith("no step was saved yet")
     assert not (run / "run.yaml").exists()
     assert main(words) == 0
     before = contents(run)
     on = ["train", "--resume", str(run), "--steps", "128", "--no-report"]
-    last = refused(on, capsys)
+    last = refused(on)
     assert "checkpoints/000000128" in last
     assert last.endswith(f"then go on with --resume {run}")
     after = contents(run)
@@ -66,11 +55,9 @@ def test_a_run_goes_on_when_there_is_room(robot_model_dir, tmp_path, capsys):
     assert Policy.load(run).run["trained"]["steps"] == 128
 
     before = contents(run)
-    assert "policy/weights" in refused(
-        ["export", str(run), "--model", model, "--out", str(run / "policy")], capsys, 4_000
-    )
+    assert "policy/weights" in refused(["export", str(run), "--model", model, "--out", str(run / "policy")], 4_000)
     assert contents(run) == before
     short = ["evaluate", str(run), "--model", model, "--protocol", "standup", "--trials", "1", "--no-report"]
     out = tmp_path / "evaluation"
-    assert "evaluation.png" in refused([*short, "--out", str(out)], capsys)
+    assert "evaluation.png" in refused([*short, "--out", str(out)])
     assert sorted(contents(out)) == ["evaluation.json", "evaluation.txt"]

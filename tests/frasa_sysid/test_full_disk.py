@@ -3,8 +3,6 @@
 On a real full disk: tests/benchmarks/bench_full_disk.py.
 """
 
-import resource
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -13,20 +11,6 @@ from frasa_sysid.calibration import run_command
 from frasa_sysid.cli import build_parser
 
 LOG = Path(__file__).parents[2] / "bench_logs" / "mx64.mcap"
-
-
-@contextmanager
-def no_file_above(size):
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
-def contents(folder):
-    return {one.relative_to(folder).as_posix(): one.read_bytes() for one in folder.rglob("*") if one.is_file()}
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +35,7 @@ def fitted(robot_model_dir, tmp_path_factory):
         ("export-bam fits/mx64.json --out m1.json", 50, "m1.json"),
     ],
 )
-def test_full(fitted, monkeypatch, capsys, command, size, lacking):
+def test_full(fitted, monkeypatch, capsys, no_file_above, contents, command, size, lacking):
     """Each command that writes says what it could not write and what to do; the files it did not get to are the old."""
     monkeypatch.chdir(fitted)
     words = [str(LOG) if one == "LOG" else one for one in command.split()]

@@ -94,7 +94,17 @@ def test_a_thread_may_ask_again(tmp_path):
         with alone(tmp_path / "run", folder=True):
             pass
         assert (tmp_path / "run" / ".lock").exists()
-    assert not (tmp_path / "run").exists()  # nothing came of it
+
+
+def test_folders_stay_where_something_came_of_them(tmp_path):
+    """Those that were made for the lock go with it; not those that were there, nor those that hold something now."""
+    (tmp_path / "there").mkdir()
+    with alone(tmp_path / "there" / "runs" / "one", folder=True):
+        pass
+    assert [one.name for one in tmp_path.rglob("*")] == ["there"]
+    with alone(tmp_path / "there" / "runs" / "one", folder=True):
+        (tmp_path / "there" / "runs" / "other").touch()
+    assert [one.name for one in (tmp_path / "there" / "runs").rglob("*")] == ["other"]
 
 
 def frasa(*words):

@@ -1,4 +1,5 @@
 import argparse
+import shutil
 import sys
 from pathlib import Path
 
@@ -137,6 +138,12 @@ def bags(tmp_path_factory):
         "old": without_definitions(next(old.glob("*.db3"))),
         "mcap": write2(folder / "three", plugin=StoragePlugin.MCAP) / "metadata.yaml",
     }
+
+
+@pytest.fixture
+def metadata(bags, tmp_path):
+    """The metadata of a copy of the folder, to be spoilt."""
+    return Path(shutil.copytree(bags["folder"].parent, tmp_path / "bag")) / "metadata.yaml"
 
 
 @pytest.mark.parametrize("kind", ["ros1", "folder", "old", "mcap"])
@@ -319,13 +326,8 @@ def test_definitions_that_take_memory_without_bytes():
     bag_bounds.check_definitions(get_types_from_msg("float64[36] x\nstring[] names\n", "a/msg/B"))
 
 
-def test_metadata_of_a_folder_is_plain(bags, tmp_path):
+def test_metadata_of_a_folder_is_plain(metadata):
     """Aliases and tags are refused before another reader of YAML sees them."""
-    folder = tmp_path / "bag"
-    folder.mkdir()
-    for source in bags["folder"].parent.iterdir():
-        (folder / source.name).write_bytes(source.read_bytes())
-    metadata = folder / "metadata.yaml"
     good = metadata.read_text()
     for more in ("a: &a [1]\nb: *a\n", "a: !!python/name:os.system\n", "a: " + "[" * 5000):
         metadata.write_text(good + more)
@@ -333,13 +335,8 @@ def test_metadata_of_a_folder_is_plain(bags, tmp_path):
             read_bag(metadata)
 
 
-def test_topics_of_metadata_that_are_no_text(bags, tmp_path):
+def test_topics_of_metadata_that_are_no_text(metadata):
     """YAML may hold anything for a name or type: it costs that topic, or the bag, not a traceback."""
-    folder = tmp_path / "bag"
-    folder.mkdir()
-    for source in bags["folder"].parent.iterdir():
-        (folder / source.name).write_bytes(source.read_bytes())
-    metadata = folder / "metadata.yaml"
     good = metadata.read_text()
     for word in ("name: /joint_states", "type: sensor_msgs/msg/JointState"):
         assert word in good
