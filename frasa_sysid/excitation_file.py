@@ -1,7 +1,9 @@
 """Excitations in files: MCAP (goals on /joint_command) and CSV (time [s], one column a joint [rad])."""
 
 import io
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,8 +17,8 @@ from frasa_sysid.robot_truth import Base
 from frasa_sysid.writer import write_mcap
 
 
-def write_excitation(path: Path, excitation: Excitation, base: Base) -> None:
-    """Write an MCAP file of goals, one message every period.
+def write_excitation(path: Path, excitation: Excitation, base: Base, made: Mapping[str, Any] | None = None) -> None:
+    """Write an MCAP file of goals, one message every period; `made` is as for `write_mcap`.
 
     Raises:
         OSError: the file cannot be written.
@@ -30,7 +32,8 @@ def write_excitation(path: Path, excitation: Excitation, base: Base) -> None:
     facts = RigFacts(
         firmware_gain=excitation.firmware_gain, trajectory="+".join(part.name for part in excitation.parts), base=base
     )
-    write_mcap(path, [Recording(path.name, {"goal": goal}, facts, "simulated", path.name, "", "header", extra=extra)])
+    goals = Recording(path.name, {"goal": goal}, facts, "simulated", path.name, "", "header", extra=extra)
+    write_mcap(path, [goals], made=made)
 
 
 def write_csv(path: Path, excitation: Excitation) -> None:

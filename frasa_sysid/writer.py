@@ -2,12 +2,13 @@
 
 ROS 2 profile, CDR with its definitions, compressed chunks, index and statistics. Runs
 follow one another on the time line, one second apart, each described by a `frasa.bench`
-record at the head of the file, so that a file cut short still knows its rig. The same
-recordings give the same bytes.
+record at the head of the file, so that a file cut short still knows its rig. What made
+the file is in a `frasa.made` record. The same recordings and versions give the same bytes.
 """
 
 import heapq
 import io
+import json
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,10 +21,12 @@ from mcap_ros2.writer import Writer
 
 from frasa_sysid import bench_record
 from frasa_sysid.calibration.files import write_atomic
+from frasa_sysid.calibration.provenance import versions
 from frasa_sysid.errors import LogError
 from frasa_sysid.message_definitions import DEFINITIONS, SIMULATED
 from frasa_sysid.recording import FloatArray, Recording, Signal
 
+MADE = "frasa.made"  # the metadata record of versions, inputs and seed
 EPOCH = 1_577_836_800 * 10**9  # ns; 2020-01-01T00:00:00Z, so that the bytes depend on the data alone
 SECOND = 10**9
 NAN = float("nan")
@@ -64,6 +67,7 @@ def write_mcap(
     recordings: Sequence[Recording],
     attachments: Mapping[str, bytes] | None = None,
     start_ns: int = EPOCH,
+    made: Mapping[str, Any] | None = None,
 ) -> None:
     """Write recordings to an MCAP file, through a temporary file and a rename.
 
@@ -76,6 +80,8 @@ def write_mcap(
         recordings: the runs, in order.
         attachments: files to carry along, by name, such as the original log.
         start_ns: time of the first run's zero [ns since 1970].
+        made: what the file depends on, such as hashes of inputs and a seed, as JSON would
+            have it; versions are added. Readers of recordings do not need it.
 
     Raises:
         LogError: nothing to write, or a signal that begins before time zero.
@@ -89,6 +95,8 @@ def write_mcap(
     writer = Writer(buffer, chunk_size=CHUNK_SIZE)
     for i, (recording, window) in enumerate(zip(recordings, windows, strict=True)):
         writer.add_metadata(bench_record.NAME, bench_record.to_fields(f"{i:0{width}d}", window, recording))
+    record = {"versions": versions("mcap", "mcap-ros2-support"), **(made or {})}
+    writer.add_metadata(MADE, {name: json.dumps(value, sort_keys=True) for name, value in record.items()})
     schemas = {name: writer.register_msgdef(name, text) for name, text in _used_definitions(recordings).items()}
     for recording, window in zip(recordings, windows, strict=True):
         for stamp, topic, schema, message in _messages(recording, window[0]):

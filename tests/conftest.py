@@ -1,5 +1,6 @@
 """Paths, and a hand-made fit of a whole robot, that several test folders need."""
 
+import json
 import os
 import resource
 import shutil
@@ -7,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,6 +17,7 @@ import frasa_sysid  # noqa: F401 (before numpy, whose threads it keeps to one)
 
 # isort: split
 import numpy as np
+from mcap.reader import make_reader
 
 from frasa_sysid.calibration import load_model, servo_law
 from frasa_sysid.model_mark import mark_of
@@ -63,6 +66,18 @@ def _contents(folder: Path) -> dict[str, bytes]:
 def contents() -> Callable[[Path], dict[str, bytes]]:
     """All files of a folder, by path below it."""
     return _contents
+
+
+@pytest.fixture(scope="session")
+def made_of() -> Callable[[Path], dict[str, Any]]:
+    """What an MCAP says that it was made of: its `frasa.made` record."""
+
+    def read(path: Path) -> dict[str, Any]:
+        with path.open("rb") as file:
+            (record,) = (one for one in make_reader(file).iter_metadata() if one.name == "frasa.made")
+        return {name: json.loads(value) for name, value in record.metadata.items()}
+
+    return read
 
 
 @pytest.fixture(scope="session")

@@ -75,6 +75,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         found = compare_bench(contenders, bench, session)
     errors = found.errors
     _show(errors)
+    inputs = {**bench.inputs, **input_hashes((args.model, *args.with_model, *args.fit, *args.bam))}
     report = None
     if not args.no_report:
         values = {one.name: one.values for one in contenders}
@@ -85,14 +86,14 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if args.mcap is not None:
         names = [run.name for run in found.runs]
         by_run = {name: dict(zip(names, readings, strict=True)) for name, readings in found.readings.items()}
-        write_overlay(args.mcap, bench_overlay(bench.train, by_run))
+        write_overlay(args.mcap, bench_overlay(bench.train, by_run), inputs)
     last = errors[contenders[-1].name]
     return {
         "schema": SCHEMA,
         "servo": bench.servo.name,
         "misfit": _plain(last),
         "candidates": {name: _plain(one) for name, one in errors.items()},
-        "inputs": {**bench.inputs, **input_hashes((args.model, *args.with_model, *args.fit, *args.bam))},
+        "inputs": inputs,
         "outputs": {"report": report, "mcap": args.mcap},
     }
 

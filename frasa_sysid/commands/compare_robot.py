@@ -45,12 +45,13 @@ def compare_robot_logs(args: argparse.Namespace, recordings: Sequence[Recording]
     _show(errors, args.hold_out_share)
     _warn(found)
     title = f"Whole robot: simulated over measured, {_part(args.hold_out_share)}"
+    inputs = {**inputs_of(recordings), **input_hashes((args.model, *args.with_model, *args.fit))}
     report = None
     if not args.no_report:
         report = write_robot_comparison(args.report or REPORT, title, found, inputs_of(recordings))
         tell_report(report)
     if args.mcap is not None:
-        write_overlay(args.mcap, robot_overlay(recordings, found))
+        write_overlay(args.mcap, robot_overlay(recordings, found), inputs)
     plain = {name: _plain(errors[name], compared) for name, compared in found.items()}
     return {
         "schema": SCHEMA,
@@ -59,12 +60,12 @@ def compare_robot_logs(args: argparse.Namespace, recordings: Sequence[Recording]
         "hold_out_share": args.hold_out_share,
         "misfit": list(plain.values())[-1],
         "candidates": plain,
-        "inputs": {**inputs_of(recordings), **input_hashes((args.model, *args.with_model, *args.fit))},
+        "inputs": inputs,
         "outputs": {"report": report, "mcap": args.mcap},
     }
 
 
-def write_overlay(path: Path, recordings: Sequence[Recording]) -> None:
+def write_overlay(path: Path, recordings: Sequence[Recording], inputs: Mapping[str, str]) -> None:
     """Write measured and simulated traces to one MCAP, and say how to look at them.
 
     Raises:
@@ -72,7 +73,7 @@ def write_overlay(path: Path, recordings: Sequence[Recording]) -> None:
     """
     if path.exists() and any(path.samefile(one.source) for one in recordings if Path(one.source).exists()):
         raise UsageError(f"--mcap {path} is one of the logs that are compared; choose another file")
-    write_mcap(path, recordings)
+    write_mcap(path, recordings, made={"command": "compare", "inputs": dict(inputs)})
     say(f"measured and simulated traces: {path} (PlotJuggler opens it as it is; layout for Foxglove: {LAYOUT})")
 
 

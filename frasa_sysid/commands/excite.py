@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from frasa_sysid.calibration import add_json_flag, say, sha256_of_file
+from frasa_sysid.calibration import add_json_flag, input_hashes, say, sha256_of_file
 from frasa_sysid.commands.progress import shown_share
 from frasa_sysid.errors import UsageError
 from frasa_sysid.excitation import Excitation
@@ -144,7 +144,7 @@ def _write(args: argparse.Namespace, excitation: Excitation, count: int) -> dict
         return path if count == 1 else path.with_name(f"{path.stem}-{excitation.hold}{path.suffix}")
 
     out = named(args.out)
-    write_excitation(out, excitation, args.base)
+    write_excitation(out, excitation, args.base, {"command": "excite", "inputs": input_hashes([args.model])})
     outputs = {"hold": excitation.hold, "trajectory": out, "sha256": sha256_of_file(out)}
     if args.csv:
         text = out.with_suffix(".csv") if args.csv is True else named(args.csv)

@@ -87,7 +87,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     for source, out in zip(sources, outputs, strict=True):
         try:
             recordings = _import(source, args, table, mapping)
-            write_mcap(out, recordings, {**_originals(source, args.format), **_map_file(mapping)})
+            made = {"command": "import", "inputs": {one.source: one.sha256 for one in recordings}}
+            write_mcap(out, recordings, {**_originals(source, args.format), **_map_file(mapping)}, made=made)
         except (LogError, PermissionError) as error:
             say(f"not imported: {error}")
             failed += 1

@@ -70,7 +70,7 @@ def _run_bench(args: argparse.Namespace) -> dict[str, Any]:
     bench = bench_of(truth, args.delay, args.seed)
     bench = replace(bench, position_age=args.position_age or 0.0, duty_age=args.duty_age)
     recordings = simulate_bench(truth, bench, args.out.name)
-    write_mcap(args.out, recordings)
+    write_mcap(args.out, recordings, made={"command": "simulate", "servo": truth.name, "seed": bench.seed})
     say(f"{args.out}: {len(recordings)} simulated runs of {truth.name}, command delay {bench.command_delay * 1e3:g} ms")
     return {
         "servo": truth.name,

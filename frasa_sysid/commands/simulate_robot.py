@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from frasa_sysid.calibration import say, sha256_of_file
+from frasa_sysid.calibration import input_hashes, say, sha256_of_file
 from frasa_sysid.commands.progress import shown_share
 from frasa_sysid.errors import UsageError
 from frasa_sysid.excitation import Excitation
@@ -78,7 +78,8 @@ def run_robot(args: argparse.Namespace) -> dict[str, Any]:
     holds = _checked_holds(args, bases, joints)
     runs = [one for base in bases for one in _runs(args, path, joints, base, holds)]
     recordings = [_simulated(args, path, joints, one, f"{args.out.name}#{i:02d}") for i, one in enumerate(runs)]
-    write_mcap(args.out, recordings)
+    inputs = input_hashes((path, *(args.excitation or ())))
+    write_mcap(args.out, recordings, made={"command": "simulate", "inputs": inputs, "seed": args.seed or 0})
     length = sum(one.duration for one in recordings)
     how = [f"held {one.excitation.hold}" if one.base == "fixed" else "on its feet" for one in runs]
     say(f"{args.out}: {length:.0f} s of a simulated robot ({', '.join(how)}), seed {args.seed or 0}")
@@ -88,6 +89,7 @@ def run_robot(args: argparse.Namespace) -> dict[str, Any]:
         "seconds": length,
         "truth": dict(recordings[0].truth),
         "seed": args.seed or 0,
+        "inputs": inputs,
         "outputs": {"log": args.out, "sha256": sha256_of_file(args.out)},
     }
 

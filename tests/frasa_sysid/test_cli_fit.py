@@ -341,12 +341,15 @@ def test_publish_command(place, capsys):
     assert not (place / "robot_model" / "calibrated.xml").exists()
 
 
-def test_simulate_command(tmp_path, capsys):
+def test_simulate_command(tmp_path, capsys, made_of):
     """A simulated log says where it lies and what is true; bad words are usage errors."""
     assert frasa("simulate", "--servo", "mx64", "--out", tmp_path / "a.mcap", "--delay", "0.004", "--json") == 0
     result = json.loads(capsys.readouterr().out)
     assert result["truth"]["mx64.delay"] == 0.004
     assert result["runs"] == len(read_log(tmp_path / "a.mcap")) == 36
+    made = made_of(tmp_path / "a.mcap")
+    assert (made["servo"], made["seed"]) == ("mx64", result["seed"])
+    assert made["versions"]["frasa"] == result["versions"]["frasa"]
     for words in (["--delay", "1"], ["--delay", "nan"], ["--seed", "-1"]):
         assert frasa("simulate", "--servo", "mx64", "--out", tmp_path / "b.mcap", *words) == 2
         assert capsys.readouterr().err.count("\n") == 1

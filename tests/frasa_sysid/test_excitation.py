@@ -5,7 +5,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from frasa_sysid.calibration import run_command
+from frasa_sysid.calibration import run_command, sha256_of_file
 from frasa_sysid.cli import build_parser
 from frasa_sysid.excitation_file import read_excitation, write_csv, write_excitation
 from frasa_sysid.excitation_hung import design, first_sizes
@@ -143,7 +143,7 @@ def command(*words):
     return run_command(build_parser(), [str(word) for word in words])
 
 
-def test_command_line_and_simulation_of_its_file(path, joints, tmp_path, capsys):
+def test_command_line_and_simulation_of_its_file(path, joints, tmp_path, capsys, made_of):
     """`excite` writes goals for some joints; `simulate --excitation` sends them."""
     out, log = tmp_path / "e.mcap", tmp_path / "r.mcap"
     words = ("excite", "--model", path, "--out", out, "--csv", "--holds", "upright", "--seconds", 10)
@@ -155,6 +155,9 @@ def test_command_line_and_simulation_of_its_file(path, joints, tmp_path, capsys)
     assert (tmp_path / "e.csv").is_file()
     assert command("simulate", "--robot", "--model", path, "--excitation", out, "--seconds", 4, "--out", log) == 0
     goal, planned = read_log(log, "auto")[0].signal("goal"), read_excitation(out)
+    # The log names the model and the goals that it was made of, the goals their model.
+    assert sha256_of_file(out) in made_of(log)["inputs"].values()
+    assert set(made_of(out)["inputs"].items()) < set(made_of(log)["inputs"].items())
     moved = np.ptp(goal.y, axis=0) > 0.01
     assert {name for name, one in zip(joints.names, moved, strict=True) if one} == {"left_elbow", "head_yaw"}
     # A count of the encoder, and what the goal changes within the jitter of a cycle.

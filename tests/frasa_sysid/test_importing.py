@@ -49,7 +49,7 @@ def table(tmp_path):
     return path
 
 
-def test_import_keeps_everything(tmp_path, table):
+def test_import_keeps_everything(tmp_path, table, made_of):
     """The MCAP holds the recording with its faults and facts, and the original byte for byte."""
     source = bam(tmp_path / "in" / "a.json.gz")
     assert frasa("import", source, "--format", "bam", "--out", tmp_path / "out", "--rig-table", table) == 0
@@ -62,6 +62,7 @@ def test_import_keeps_everything(tmp_path, table):
     assert {fault.code for fault in read.faults} == {"failed_read", "voltage_contradicted"}
     assert (read.rig.inertia, read.rig.gravity_torque, read.rig.mass) == (0.0067, 0.54, 0.535)
     assert read.extra == {"offset": 0.0, "imported_from": "a.json.gz", "imported_sha256": direct.sha256}
+    assert made_of(out)["inputs"] == {str(source): direct.sha256}
     with out.open("rb") as file:
         attached = list(make_reader(file).iter_attachments())
     assert [(one.name, one.data) for one in attached] == [("a.json.gz", source.read_bytes())]

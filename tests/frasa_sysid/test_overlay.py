@@ -33,7 +33,7 @@ def log(robot_model_dir, tmp_path_factory):
     return out
 
 
-def test_the_layout_plots_what_is_written(robot_model_dir, log, capsys, tmp_path):
+def test_the_layout_plots_what_is_written(robot_model_dir, log, capsys, tmp_path, made_of):
     """Every path of the layout for Foxglove leads to numbers in the MCAP of `compare --mcap`, of the same joint."""
     out = tmp_path / "both.mcap"
     words = ["compare", log, "--model", robot_model_dir / "nominal.xml", "--json", "--mcap", out]
@@ -43,6 +43,7 @@ def test_the_layout_plots_what_is_written(robot_model_dir, log, capsys, tmp_path
     found = json.loads(printed)
     assert found["outputs"]["mcap"] == str(out)
     assert str(LAYOUT) in said
+    assert made_of(out)["inputs"] == found["inputs"]
     layout = json.loads(LAYOUT.read_text())
     paths = [one["value"] for panel in layout["configById"].values() for one in panel.get("paths", ())]
     messages = defaultdict(list)

@@ -134,7 +134,7 @@ def test_opens_without_frasa(tmp_path):
             "/dynamic_joint_states",
         }
         records = list(reader.iter_metadata())
-        assert [record.name for record in records] == ["frasa.bench"] * 2
+        assert [record.name for record in records] == ["frasa.bench", "frasa.bench", "frasa.made"]
         assert float(records[0].metadata["mass"]) == 0.1 + 0.2
         assert int(records[1].metadata["start_ns"]) - int(records[0].metadata["end_ns"]) >= 10**9
         assert [one.data for one in reader.iter_attachments()] == [b"original"]
