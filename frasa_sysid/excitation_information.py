@@ -7,6 +7,7 @@ add: neighbouring errors of a model go together, so only one sample in `CORRELAT
 """
 
 import copy
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -114,6 +115,8 @@ def _slopes(
     """Change of all readings, in their noise units, by each parameter, shape (T, 2 n, P)."""
     varied = [name for name in names if name != "sensor.velocity_delay"]
     model = as_recorded(bare(path, held=True), excitation)
+    # Readings come after whole steps: the next shorter one that divides their period.
+    model.opt.timestep = PERIOD / max(1, math.ceil(PERIOD / model.opt.timestep - 1e-9))
     cases = [_case(model, joints, excitation, name) for name in ["", *varied]]
     readings = []
     for i in range(0, len(cases), BATCH):

@@ -110,7 +110,10 @@ def find_sources(argument: str, form: str) -> list[Path]:
     matches = glob.glob(argument, recursive=True)  # noqa: PTH207 - Path.glob refuses absolute patterns
     files = sorted(Path(one) for one in matches if Path(one).is_file())
     if not files:
-        raise LogError(f"{argument} does not exist" + (" and matches no file" if "*" in argument else ""))
+        expected = (
+            "expected a glob that matches files" if "*" in argument else "expected a log, a folder of logs or a glob"
+        )
+        raise LogError(f"{argument} does not exist, {expected}: check its name, and the folder the command runs in")
     return files
 
 

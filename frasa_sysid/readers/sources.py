@@ -23,13 +23,15 @@ def check_source(path: Path) -> None:
         LogError: missing, a directory, no plain file, or empty.
     """
     if path.is_dir():
-        raise LogError(f"{path} is a directory, expected a log file")
+        raise LogError(f"{path} is a directory, expected a log file: name the files in it")
     if not path.exists():
-        raise LogError(f"{path} does not exist")
+        raise LogError(
+            f"{path} does not exist, expected a log file: check its name, and the folder the command runs in"
+        )
     if not path.is_file():
         raise LogError(f"{path} is not a plain file")
     if path.stat().st_size == 0:
-        raise LogError(f"{path} is empty")
+        raise LogError(f"{path} is empty, expected a log: was anything recorded, or copied whole?")
 
 
 def open_unpacked(path: Path) -> io.BufferedReader:

@@ -124,6 +124,14 @@ def test_information_is_the_slope_of_the_readings(path, joints, told):
     assert 1e-5 < told.sd[8] < 1e-3
 
 
+def test_information_hardly_depends_on_the_step(path, joints, fitted, told, model_dir):
+    """A step that does not divide the period of the readings changes little: 3 ms are taken as 2.5."""
+    coarse = model_dir / "nominal.xml"
+    coarse.write_text(coarse.read_text().replace('timestep="0.002"', 'timestep="0.003"'))
+    found = information(coarse, joints, [design(joints, fitted[0], 10.0)])
+    np.testing.assert_allclose(found.sd, told.sd, rtol=0.1)
+
+
 def test_files_hold_the_same_goals(joints, tmp_path):
     """MCAP and CSV carry the goals, the joints and, the first, the parts."""
     excitation = standing(joints, 10.0)
