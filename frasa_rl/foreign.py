@@ -9,6 +9,7 @@ import io
 import json
 import warnings
 import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,9 +21,14 @@ from frasa_rl.config import Task
 from frasa_rl.policy import Array, Policy, PolicyError
 from frasa_rl.task_text import task_data
 from frasa_sysid.calibration import UsageError, calibration_id, load_model, sha256_of_file
+from frasa_sysid.calibration.plain_arrays import check_packing
 
 Tensors = Mapping[str, npt.NDArray[np.float64]]
 _LARGEST = 1 << 28
+# What zipfile raises of a damaged file; some of it is not of its own kind.
+_BROKEN = (
+    zipfile.BadZipFile, zlib.error, KeyError, ValueError, NotImplementedError, RuntimeError, OSError, EOFError,
+)  # fmt: skip
 _RELU = "<class 'torch.nn.modules.activation.ReLU'>"
 _RENORM_EPS, _CLIP_MEAN = 1e-3, 2.0  # defaults of sb3-contrib and SB3
 
@@ -81,7 +87,7 @@ def read_sb3(path: Path, *, trust: bool) -> tuple[tuple[Array, Array], ...]:
         with zipfile.ZipFile(path) as archive:
             said = _settings(archive)
             tensors = _tensors(_member(archive, "policy.pth"))
-    except (zipfile.BadZipFile, KeyError, NotImplementedError, RuntimeError, OSError, EOFError) as error:
+    except _BROKEN as error:
         raise PolicyError(f"{path} is not an SB3 file: {' '.join(str(error).split())[:200]}") from None
     try:
         return fold(tensors, said)
@@ -90,6 +96,7 @@ def read_sb3(path: Path, *, trust: bool) -> tuple[tuple[Array, Array], ...]:
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> bytes:
+    check_packing(archive, name)
     if archive.getinfo(name).file_size > _LARGEST:
         raise KeyError(f"{name} is larger than {_LARGEST >> 20} MiB")
     with archive.open(name) as file:
@@ -101,8 +108,9 @@ def _member(archive: zipfile.ZipFile, name: str) -> bytes:
 
 def _settings(archive: zipfile.ZipFile) -> dict[str, Any]:
     """What `data` says in plain JSON; texts under `:serialized:` are pickles and stay texts."""
+    content = _member(archive, "data")
     try:
-        said = json.loads(_member(archive, "data"))
+        said = json.loads(content)
     except (ValueError, RecursionError):
         raise KeyError("'data' is not JSON") from None
     if not isinstance(said, dict):

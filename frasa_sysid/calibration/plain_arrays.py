@@ -71,12 +71,26 @@ def read_arrays(path: Path, largest: int, names: Iterable[str] | None = None) ->
         with zipfile.ZipFile(path) as archive:
             for name in wanted:
                 member = f"{name}.npy"
+                check_packing(archive, member)
                 with archive.open(member) as file:
                     # What a member says of its size bounds what is unpacked; one byte more shows that it lied.
                     found[name] = _array(file.read(sizes[name] + 1))
     except _BROKEN as error:
         raise ValueError(f"array {name[:60]}: {_line(error)}") from error
     return found
+
+
+def check_packing(archive: zipfile.ZipFile, name: str) -> None:
+    """See that a member of a zip file is kept as it is or deflated, as NumPy and SB3 write them.
+
+    What the other ways raise for damage is of no kind that all Pythons have.
+
+    Raises:
+        KeyError: no such member.
+        ValueError: another way.
+    """
+    if archive.getinfo(name).compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError(f"{name[:60]} is packed in another way than deflate")
 
 
 def _array(content: bytes) -> Array:

@@ -99,12 +99,12 @@ class Bomb:
         return (open, (str(self.path), "w"))
 
 
-def edited(path, **members):
+def edited(path, packing=zipfile.ZIP_DEFLATED, **members):
     """A copy of a zip with other members."""
     with zipfile.ZipFile(path) as archive:
         kept = {name: archive.read(name) for name in archive.namelist()}
     out = path.with_name("edited.zip")
-    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(out, "w", packing) as archive:
         for name, content in {**kept, **{name.replace("_pth", ".pth"): one for name, one in members.items()}}.items():
             if content is not None:
                 archive.writestr(name, content)
@@ -146,6 +146,28 @@ def test_broken_files_are_refused_in_one_line(tmp_path, members):
     with pytest.raises(PolicyError) as said:
         read_sb3(edited(saved(learner(SAC), tmp_path / "model.zip"), **members), trust=True)
     assert "\n" not in str(said.value)
+
+
+def test_damage_in_packed_members_is_refused_in_one_line(tmp_path):
+    """Wherever bytes of a deflated member are wrong: a checksum, or a stream that makes no sense."""
+    path = edited(saved(learner(SAC), tmp_path / "model.zip"))
+    whole = path.read_bytes()
+    with zipfile.ZipFile(path) as archive:
+        member = archive.getinfo("policy.pth")
+    generator = np.random.default_rng(0)
+    start = member.header_offset + 100
+    for place in generator.integers(start, start + member.compress_size - 200, 30):
+        path.write_bytes(whole[:place] + generator.bytes(60) + whole[place + 60 :])
+        with pytest.raises(PolicyError, match="not an SB3 file") as said:
+            read_sb3(path, trust=True)
+        assert "\n" not in str(said.value)
+
+
+@pytest.mark.parametrize("packing", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_what_sb3_does_not_pack_with_is_refused(tmp_path, packing):
+    """Other ways to pack raise errors of their own for damage."""
+    with pytest.raises(PolicyError, match="packed in another way than deflate"):
+        read_sb3(edited(saved(learner(SAC), tmp_path / "model.zip"), packing), trust=True)
 
 
 def test_what_is_no_zip_is_refused(tmp_path):

@@ -97,3 +97,15 @@ def test_any_damage(tmp_path_factory, data):
     except ValueError:
         return
     assert all(one.dtype.kind in "fiubUM" for one in found.values())
+
+
+@pytest.mark.parametrize("packing", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_what_numpy_does_not_pack_with_is_refused(tmp_path, packing):
+    """Other ways to pack raise errors of their own for damage."""
+    path = tmp_path / "a.npz"
+    content = io.BytesIO()
+    np.save(content, np.arange(3.0))
+    with zipfile.ZipFile(path, "w", packing) as archive:
+        archive.writestr("x.npy", content.getvalue())
+    with pytest.raises(ValueError, match="packed in another way than deflate"):
+        read_arrays(path, 1000)
