@@ -38,7 +38,7 @@ test: check docs
 bench: $(READY)
 	for file in tests/benchmarks/bench_*.py; do $(BIN)/python $$file || exit 1; done
 
-# The project's own logs, byte for byte (with the versions of constraints.txt).
+# The project's own logs, message for message (with the versions of constraints.txt).
 bench-logs: $(READY)
 	$(BIN)/frasa-sysid simulate --servo mx106 --out bench_logs/mx106.mcap
 	$(BIN)/frasa-sysid simulate --servo mx64 --out bench_logs/mx64.mcap
