@@ -114,9 +114,8 @@ class Reward:
         action: weight of small rates.
         variation: weight of steady rates.
         self_contact: weight of parts not touching each other.
-        gathering: weight of the centre of mass above flat feet, whatever the joints do; not in the paper. Training's
-            own (Settings).
-        approach: weight of the standing pose from further away, once the trunk is high and upright; likewise.
+        gathering: weight of the centre of mass above flat feet, whatever the joints do; not in the paper.
+        approach: weight of the standing pose from further away, once the trunk is high and upright; not in the paper.
         posture_slope: slope of the posture term [1/rad^2].
         approach_slope: smallest slope of the approach term, the others are 4 and 32 times as large [1/rad^2].
         action_slope: slope of the action and variation terms [s/rad].

@@ -42,7 +42,6 @@ def first_task(looked: Looked, stance: Stance, names: Names, step: float) -> Tas
         held_deg=held,
         control_period_s=_period(step),
         rate_limit=_rate(looked),
-        end_gyro=round(float(base.end_gyro / np.sqrt(size)), 1),
         names=names,
         assumed=_assumed(base, size),
         rig=_rig(base, size, float(looked.model.body_subtreemass[looked.trunk]) / _MASS),

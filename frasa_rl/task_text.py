@@ -11,10 +11,14 @@ from frasa_rl.config import Task
 
 SCHEMA = "frasa.task/1"
 _WIDTH = 116
+# What a training preset has numbers of its own for, which a file of all fields must not undo. In Task and Reward.
+OF_PRESETS = ("near_target_share", "near_target_push", "falling_share", "end_gyro", "gathering", "approach")
+_PRESET = "Training presets have their own; a number here goes before theirs."
 _HEAD = """\
 # The stand-up task: which joints, poses, rates, rewards, ends, physics, and the ranges nobody has measured.
 # This is the Sigmaban's, which every tool takes where no file is given. A file of your own (--task FILE) names
-# only what differs from it. null means none. Units stand in brackets.
+# only what differs from it. null means none. Units stand in brackets. What training presets have numbers of their own
+# for is commented out.
 """
 
 
@@ -24,7 +28,7 @@ def task_data(task: Task) -> dict[str, Any]:
 
 
 def dump_task(task: Task, head: str = "") -> str:
-    """A task as a YAML file that names every field.
+    """A task as a YAML file that names every field; what presets of training choose is a comment unless it was changed.
 
     Args:
         task: what is written.
@@ -52,12 +56,13 @@ def _lines(value: Any, depth: int) -> list[str]:  # noqa: ANN401
     pad, said, lines = "  " * depth, _descriptions(type(value)), []
     for field in fields(value):
         one = getattr(value, field.name)
-        comment = wrap(said.get(field.name, ""), _WIDTH - len(pad))
+        left = field.name in OF_PRESETS and one == field.default
+        comment = wrap(f"{said.get(field.name, '')} {_PRESET if left else ''}", _WIDTH - len(pad))
         lines += [f"{pad}# {line}" for line in comment]
         if is_dataclass(one) and not _leaf(one):
             lines += [f"{pad}{field.name}:", *_lines(one, depth + 1)]
         else:
-            lines += [pad + line for line in _yaml(field.name, _plain(one))]
+            lines += [pad + ("# " if left else "") + line for line in _yaml(field.name, _plain(one))]
     return lines
 
 

@@ -3,7 +3,7 @@
 import argparse
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from frasa_rl.commands.task_option import add_task_option
 from frasa_rl.compat2024 import compat_task
@@ -12,7 +12,8 @@ from frasa_rl.overrides import override
 from frasa_rl.physics import NAMES
 from frasa_rl.settings import ALGORITHMS, PRESETS, Settings
 from frasa_rl.task_file import load_task
-from frasa_sysid.calibration import UsageError
+from frasa_rl.task_text import OF_PRESETS
+from frasa_sysid.calibration import UsageError, say
 
 if TYPE_CHECKING:
     from frasa_rl.plan import Plan
@@ -99,14 +100,21 @@ def _task_and_settings(args: argparse.Namespace) -> tuple[Task, Settings]:
     )
     if args.task is not None:
         task = load_task(args.task, task)
+        _tell(args.task, task, settings)
     if args.compat:
         task = compat_task(task)
-    return task, replace(
-        settings,
-        near_target_share=task.near_target_share,
-        near_target_push=task.near_target_push,
-        falling_share=task.falling_share,
-        end_gyro=task.end_gyro,
-        gathering=task.reward.gathering,
-        approach=task.reward.approach,
-    )
+    own: dict[str, Any] = _of_presets(task)
+    return task, replace(settings, **own)
+
+
+def _of_presets(task: Task) -> dict[str, float]:
+    """What a task says of that which presets choose, by the name of the setting."""
+    return {name: getattr(task.reward if hasattr(task.reward, name) else task, name) for name in OF_PRESETS}
+
+
+def _tell(path: Path, task: Task, settings: Settings) -> None:
+    """Say what a task file has in place of the preset's: a file with all fields filled in undoes a recipe."""
+    own = {name: one for name, one in _of_presets(task).items() if one != getattr(settings, name)}
+    if own:
+        words = ", ".join(f"{name} {one:g} (preset: {getattr(settings, name):g})" for name, one in own.items())
+        say(f"{path} goes before the preset: {words}")

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from frasa_rl.cli import main
+from frasa_rl.config import Task
 from frasa_rl.own_look import look
 from frasa_rl.own_stance import find_stance
 from frasa_rl.own_task import stem
@@ -128,6 +129,13 @@ def test_its_task_runs(made):
     }  # fmt: skip
     assert task.names.trunk == "base"
     assert task.control_period_s == pytest.approx(0.05)
+    # Training's presets choose starts, ends and leading rewards for this robot as for any other.
+    chosen = replace(Task(), falling_share=0.45, near_target_push=0.45, end_gyro=15.0)
+    chosen = replace(chosen, reward=replace(chosen.reward, gathering=1.5, approach=4.5))
+    trained = load_task(made / "standup.yaml", chosen)
+    assert trained == replace(
+        task, **{name: getattr(chosen, name) for name in ("falling_share", "near_target_push", "end_gyro", "reward")}
+    )
     env = StandUp(made / "nominal.xml", task)
     first, _ = env.reset(seed=1)
     second, reward, *_ = env.step(np.full(env.action_space.shape, 0.3, np.float32))

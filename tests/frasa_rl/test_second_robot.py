@@ -199,9 +199,8 @@ def test_the_readmes_commands_run(robot_model_dir, tmp_path, monkeypatch, capsys
 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "robot_model").symlink_to(robot_model_dir)
-    section = (
-        (robot_model_dir.parent / "README.md").read_text().partition("## Your own robot\n")[2].partition("\n## ")[0]
-    )
+    readme = (robot_model_dir.parent / "README.md").read_text()
+    section = readme.partition("`robot_model/small_humanoid/` is a second robot")[2].partition("\n## ")[0]
     commands = [line.strip() for line in section.splitlines() if line.startswith("    frasa-rl ")]
     assert len(commands) == 4
     for command in commands:
@@ -223,7 +222,9 @@ def test_the_task_is_given_once(model_path, folder, tmp_path, capsys, few_starts
     words = ["--model", str(model_path), "--task", str(folder / "standup.yaml")]
     run = str(tmp_path / "run")
     assert main(["train", *words, "--steps", "600", "--out", run, "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
+    shown = capsys.readouterr()
+    said = json.loads(shown.out)
+    assert "goes before the preset: end_gyro 8 (preset: 15)" in shown.err
     assert said["steps"] >= 600
     assert said["outputs"]["report"] is None or f"{said['steps']:,} steps" in page_text(Path(said["outputs"]["report"]))
     policy = Policy.load(run)

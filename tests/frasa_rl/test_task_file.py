@@ -51,9 +51,17 @@ def test_the_documented_file_is_the_default(robot_model_dir):
     lines = documented_default().splitlines()
     for one in (Task(), Task().names, Task().physics, Task().reward, Task().assumed):
         for field in fields(one):
-            above = [lines[i - 1].strip() for i, line in enumerate(lines) if line.strip().startswith(f"{field.name}:")]
+            named = (f"{field.name}:", f"# {field.name}:")
+            above = [lines[i - 1].strip() for i, line in enumerate(lines) if line.strip().startswith(named)]
             assert above, field.name
             assert any(line.startswith("# ") for line in above), field.name
+
+
+def test_a_file_of_all_fields_leaves_presets_theirs(write):
+    """What training presets choose is theirs also where a file names everything, unless it was changed."""
+    path = write(dump_task(replace(Task(), falling_share=0.3)))
+    chosen = replace(Task(), near_target_share=0.2, end_gyro=15.0, reward=replace(Task().reward, gathering=1.5))
+    assert load_task(path, chosen) == replace(chosen, falling_share=0.3)
 
 
 @pytest.mark.parametrize("task", [OTHER, compat_task(Task())])
