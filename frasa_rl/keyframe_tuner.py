@@ -33,7 +33,7 @@ class Tuning:
     """How long and how widely to search.
 
     Attributes:
-        minutes: both sides together.
+        minutes: both sides together; each has one generation at least.
         sigma: first standard deviation of the search, in units of 60 deg and of a factor of 1.65 in time.
         population: candidates a generation.
         trials: falls a candidate is tried on, the same for all of a generation and new in the next.
@@ -102,11 +102,14 @@ def tune(
     begun, span = monotonic(), 60.0 * tuning.minutes / len(tuning.sides)
     for index, side in enumerate(tuning.sides):
         search = _Search(keyframes, falls, tuning, side)
-        while (spent := monotonic() - begun) < span * (index + 1) and search.going:
+        while search.going:
             if search.generation():
                 keyframes = search.best
                 save(keyframes)
+            spent = monotonic() - begun
             tell(Progress(side, min(1.0, spent / (span * len(tuning.sides))), search.cost, search.success_rate))
+            if spent >= span * (index + 1):
+                break
     return keyframes
 
 
