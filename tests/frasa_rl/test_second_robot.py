@@ -200,7 +200,7 @@ def test_the_readmes_commands_run(robot_model_dir, tmp_path, monkeypatch, capsys
     monkeypatch.chdir(tmp_path)
     (tmp_path / "robot_model").symlink_to(robot_model_dir)
     readme = (robot_model_dir.parent / "README.md").read_text()
-    section = readme.partition("`robot_model/small_humanoid/` is a second robot")[2].partition("\n## ")[0]
+    section = readme.partition("`robot_model/small_humanoid/` also has a task")[2].partition("\n## ")[0]
     commands = [line.strip() for line in section.splitlines() if line.startswith("    frasa-rl ")]
     assert len(commands) == 4
     for command in commands:
