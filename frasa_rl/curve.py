@@ -77,8 +77,8 @@ def curve_figure(run: Path) -> "Figure":
     axes[1, 0].set_ylabel("end standing, %")
     axes[1, 0].set_ylim(-3, 103)
     axes[1, 0].xaxis.set_major_formatter(lambda value, _: f"{value / 1000:g}k" if value else "0")
-    axes[0, 0].legend(loc="lower right")
-    axes[1, 0].legend(loc="lower right")
+    axes[0, 0].legend(loc="best")
+    axes[1, 0].legend(loc="best")
     return figure
 
 

@@ -68,7 +68,7 @@ def sweep_figure(runs: Sequence[Path], task: Task) -> "Figure | None":
     axes[1, 0].set_ylim(-2, 102)
     for one in axes[:, 1]:
         if one.get_legend_handles_labels()[0]:
-            one.legend(loc="upper left")  # curves begin low
+            one.legend(loc="best")
     figure.suptitle(f"{many} agent{'s' if many > 1 else ''}")
     return figure
 
