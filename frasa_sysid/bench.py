@@ -5,9 +5,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from frasa_sysid.bench_session import BenchSession
-from frasa_sysid.problem import FitProblem, servo_name, split, state_problem, stated_servo
+from frasa_sysid.hold_out import split
+from frasa_sysid.pieces import segments
+from frasa_sysid.problem import FitProblem, servo_name, state_problem, stated_servo
 from frasa_sysid.recording import Recording, Signal
-from frasa_sysid.rig import BenchRun, runs_of, segments
+from frasa_sysid.rig import BenchRun, runs_of
 from frasa_sysid.servo import Servo, find_table, is_table
 
 NOMINAL_MODEL = Path("robot_model/nominal.xml")

@@ -25,8 +25,9 @@ import numpy as np
 from scipy import stats
 
 from frasa_sysid.bench_kernel import BenchKernel
+from frasa_sysid.free_parameter import FreeParameter
 from frasa_sysid.linearised import even_spread, linearise
-from frasa_sysid.problem import FitProblem, FreeParameter
+from frasa_sysid.problem import FitProblem
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.resampling import Profile, leave_one_out, one_step_bootstrap, profile_likelihoods, worst_pairs
 

@@ -11,59 +11,11 @@ from frasa_sysid.calibration.friction import FIELDS as FRICTION_FIELDS
 from frasa_sysid.calibration.friction import check_law
 from frasa_sysid.effects import AUTOMATIC, EFFECTS, law_numbers
 from frasa_sysid.errors import LogError, ModelError, UsageError
+from frasa_sysid.free_parameter import SPAN, UNIT, FreeParameter, free_number, rig_offsets
 from frasa_sysid.recording import FloatArray, Recording
 from frasa_sysid.rig import BenchRun
 from frasa_sysid.servo import Servo, find_table
 from frasa_sysid.servo_values import COLUMN, ServoValues
-
-# Bounds as multiples of the nominal value: wide enough for another unit, supply or gear ratio
-# of the same type, narrow enough that the search starts in the right world.
-_SPAN = {
-    "kp": (0.2, 4.0),
-    "forcerange": (0.2, 3.0),
-    "damping": (0.05, 4.0),
-    "damping_off": (0.0, 20.0),
-    "frictionloss": (0.0, 6.0),
-    "armature": (0.05, 4.0),
-}
-_UNIT = {
-    "kp": "N m/rad",
-    "forcerange": "N m",
-    "damping": "N m s/rad",
-    "damping_off": "N m s/rad",
-    "frictionloss": "N m",
-    "armature": "kg m^2",
-    "delay": "s",
-    "offset": "rad",
-}
-_LONGEST_OFFSET = 0.15  # [rad]
-
-
-@dataclass(frozen=True)
-class FreeParameter:
-    """One number the fit may move.
-
-    Attributes:
-        name: `mx106.damping` or `bench.offset`.
-        unit: SI unit as text.
-        low, high: bounds.
-        nominal: what it is compared with, and its value while it is not fitted.
-        start: where the search starts.
-        rig: load it belongs to, for the zero offset of one rig; else empty.
-    """
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    nominal: float
-    start: float
-    rig: str = ""
-
-    @property
-    def field(self) -> str:
-        """Field of `ServoValues`: the part of the name behind the owner."""
-        return "offset" if self.rig else self.name.partition(".")[2]
 
 
 @dataclass(frozen=True)
@@ -178,7 +130,7 @@ def stated_servo(name: str, model_path: Path, table: Servo | None = None) -> tup
         supply, gain = number(model, "servo_supply_voltage"), number(model, "servo_firmware_gain")
         known = replace(known, supply_voltage=supply, firmware_gain=gain)
         fields = {field: read(model, f"{name}.{field}") for field in fields}
-        flat = [field for field in _SPAN if field in fields and not fields[field] > 0.0]
+        flat = [field for field in SPAN if field in fields and not fields[field] > 0.0]
         if flat:
             raise ModelError(f"{model_path}: {', '.join(flat)} of '{name}' must be above 0 to start a fit from")
         _check_bounds(known, fields, model_path)
@@ -192,7 +144,7 @@ def _check_bounds(known: Servo, fields: Mapping[str, float], model_path: Path) -
         span = known.span(name)
         if span is not None and not span[0] <= value <= span[1]:
             raise ModelError(
-                f"{model_path}: {name} of '{known.name}' is {value:.4g} {_UNIT[name]}, its servo table allows "
+                f"{model_path}: {name} of '{known.name}' is {value:.4g} {UNIT[name]}, its servo table allows "
                 f"{span[0]:.4g} to {span[1]:.4g}: one of the two is wrong"
             )
 
@@ -226,7 +178,7 @@ def state_problem(
         UsageError: an unknown law or effect.
     """
     numbers, ties = law_numbers(check_law(law))
-    free = [_free(known, field, nominal, delay_range) for field in _basic_fields(train)]
+    free = [free_number(known, field, nominal, delay_range) for field in _basic_fields(train)]
     top = max((_goal_speed(run) for run in train), default=0.0)
     for name in effects:
         if name not in EFFECTS:
@@ -246,7 +198,7 @@ def state_problem(
     if "supply" in effects:
         values["follow"] = 1.0
     if "offsets" in effects:
-        free += _rig_offsets(train)
+        free += rig_offsets(train)
     return FitProblem(
         known, values, tuple(free), tuple(train), tuple(held_out), rule, seed, law, tuple(effects), ties, nominal
     )
@@ -287,77 +239,6 @@ def _goal_speed(run: BenchRun) -> float:
     window = max(round(0.05 / step), 1)
     moved = np.abs(run.command[window:] - run.command[:-window])
     return float(moved.max(initial=0.0) / (window * step))
-
-
-def _rig_offsets(runs: Sequence[BenchRun]) -> list[FreeParameter]:
-    """One for every rig but the first, beside the offset that all share."""
-    rigs = sorted({run.rig for run in runs})[1:]
-    bound = _LONGEST_OFFSET
-    return [FreeParameter(f"bench.offset[{rig}]", "rad", -bound, bound, 0.0, 0.0, rig) for rig in rigs]
-
-
-def split(recordings: Sequence[Recording], rule: str) -> tuple[list[Recording], list[Recording]]:
-    """Training and held-out recordings.
-
-    Args:
-        recordings: all of them.
-        rule: `none`; `kp=24`, `mass=0.969`, `length=0.1`, `trajectory=sin_sin`; or `kp`, `rig`,
-            `trajectory`, which hold out the largest gain, the rig with the largest moment and the
-            last trajectory in alphabetical order.
-
-    Raises:
-        UsageError: an unknown rule, or one that leaves nothing on either side.
-    """
-    if rule == "none":
-        return list(recordings), []
-    key, _, wanted = rule.partition("=")
-    facts = [_fact(one, key) for one in recordings]
-    known = sorted({fact for fact in facts if fact is not None}, key=lambda fact: (str(type(fact)), fact))
-    chosen = _parse(wanted, known, rule) if wanted else (known[-1] if known else None)
-    held = [one for one, fact in zip(recordings, facts, strict=True) if fact == chosen]
-    train = [one for one, fact in zip(recordings, facts, strict=True) if fact != chosen]
-    if not held or not train:
-        raise UsageError(
-            f"--hold-out {rule} leaves {len(train)} runs to fit and {len(held)} to hold out; the logs have {key} = "
-            + (", ".join(str(fact) for fact in known) or "nothing")
-        )
-    return train, held
-
-
-def _fact(recording: Recording, key: str) -> float | str | None:
-    rig = recording.rig
-    if key == "kp":
-        return rig.firmware_gain
-    if key == "rig":
-        return round((rig.mass or 0.0) * (rig.length or 0.0), 6)
-    if key in ("mass", "length"):
-        fact: float | None = getattr(rig, key)
-        return fact
-    if key == "trajectory":
-        return rig.trajectory
-    raise UsageError(f"--hold-out {key}: expected none, kp, rig, mass, length or trajectory, each also as KEY=VALUE")
-
-
-def _parse(wanted: str, known: Sequence[float | str], rule: str) -> float | str:
-    """The known fact a word means: the very text, or the nearest number within 1e-3."""
-    if wanted in known:
-        return wanted
-    try:
-        number = float(wanted)
-    except ValueError:
-        raise UsageError(f"--hold-out {rule}: the logs have {', '.join(str(fact) for fact in known)}") from None
-    near = [fact for fact in known if isinstance(fact, float) and abs(fact - number) < 1e-3]
-    return near[0] if near else number
-
-
-def _free(known: Servo, field: str, nominal: Mapping[str, float], delay_range: tuple[float, float]) -> FreeParameter:
-    value, owner = nominal[field], known.name
-    if field == "offset":
-        return FreeParameter("bench.offset", "rad", -_LONGEST_OFFSET, _LONGEST_OFFSET, value, value)
-    if field == "delay":
-        return FreeParameter(f"{owner}.delay", "s", *delay_range, value, value)
-    low, high = known.span(field) or (_SPAN[field][0] * value, _SPAN[field][1] * value)
-    return FreeParameter(f"{owner}.{field}", _UNIT[field], low, high, value, value)
 
 
 def servo_name(recordings: Sequence[Recording], given: str | None) -> str:

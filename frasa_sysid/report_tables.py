@@ -10,7 +10,7 @@ from frasa_sysid.effects import EFFECTS
 from frasa_sysid.evidence import Estimate
 from frasa_sysid.fit import FitResult
 from frasa_sysid.fit_record import Extras, torque_off
-from frasa_sysid.problem import FreeParameter
+from frasa_sysid.free_parameter import FreeParameter
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.search import Stop
 from frasa_sysid.stand_in import StandIn

@@ -6,24 +6,20 @@ write is kept finer than the step), and measurements at their own times.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
 
 import numpy as np
 
 from frasa_sysid.errors import LogError
 from frasa_sysid.recording import FloatArray, Recording, Signal
 from frasa_sysid.servo import Servo
+from frasa_sysid.supply import rest_of, supply_course, supply_of
 
 GRAVITY = 9.81  # [m/s^2] as in bench_pendulum.xml; a test holds the two together
 _START_WINDOW = 0.03  # [s] of data at most for the speed at the start ...
-_START_SAMPLES = 12  # ... and samples at most: at 1 kHz a step from rest is long on its way after 30 ms
+START_SAMPLES = 12  # ... and samples at most: at 1 kHz a step from rest is long on its way after 30 ms
 _FROM_REST = 1.6  # speed at the end of that window over the one at its start that says: it began at rest
 _STILL = 0.004  # [rad] spread within that window that still counts as standing
-_SUPPLY_SMOOTHING = 0.1  # [s] readings of a sagging supply alias with the PWM; their mean does not
-_REST = 0.2  # share of a run, that of the smallest errors, in which the supply counts as unloaded
-_AGREES = 0.02  # relative difference within which a declared supply is believed
-_SUPPLY_RATE = 5.0  # [Hz] below it a measured supply says nothing about sag within a run
 _NO_LOAD_INERTIA = 1e-6  # [kg m^2] stands for a bare horn, far below any armature
 
 
@@ -114,7 +110,7 @@ def bench_run(recording: Recording, servo: Servo, timestep: float) -> BenchRun:
     absolute = rig.control != "position"
     # A firmware that makes up for the supply is as good as one on the stated supply, which never moves.
     steady = servo.supply_compensated
-    supply = 1.0 if absolute else servo.supply_voltage if steady else _supply(recording)
+    supply = 1.0 if absolute else servo.supply_voltage if steady else supply_of(recording)
     share = supply / servo.supply_voltage
     cells = np.minimum(np.floor(t / timestep), steps - 1)
     return BenchRun(
@@ -129,7 +125,7 @@ def bench_run(recording: Recording, servo: Servo, timestep: float) -> BenchRun:
         control=rig.control,
         command=held_means(drive, start, steps, timestep),
         lead=0,
-        supply=np.ones(steps) if steady else _supply_course(recording, start, steps, timestep),
+        supply=np.ones(steps) if steady else supply_course(recording, start, steps, timestep),
         switches=switches,
         powered_first=powered_first,
         q0=float(position.y[0]),
@@ -138,7 +134,7 @@ def bench_run(recording: Recording, servo: Servo, timestep: float) -> BenchRun:
         y=position.y,
         step=cells,
         weight=t / timestep - cells,
-        rest=1.0 if absolute or steady else _rest(recording, drive, position) / supply,
+        rest=1.0 if absolute or steady else rest_of(recording, drive, position) / supply,
     )
 
 
@@ -203,28 +199,6 @@ def _gain(recording: Recording) -> float:
     return gain
 
 
-def _supply(recording: Recording) -> float:
-    """Supply while powered [V]: the median of what was measured, else what was declared."""
-    measured = recording.signals.get("supply_voltage")
-    if measured is None:
-        return _declared_supply(recording)
-    values = measured.y
-    enable = recording.signals.get("torque_enable")
-    if enable is not None:
-        powered = enable.y[np.maximum(np.searchsorted(enable.t, measured.t, side="right") - 1, 0)] > 0.5
-        values = values[powered] if powered.any() else values
-    supply = float(np.median(values))
-    if supply <= 0.0:
-        raise LogError(f"{recording.name}: 'supply_voltage' measures {supply:g} V while powered; no servo runs on that")
-    return supply
-
-
-def _declared_supply(recording: Recording) -> float:
-    if not recording.rig.supply_voltage:
-        raise LogError(f"{recording.name}: no supply voltage, measured or declared; give --supply-voltage V")
-    return recording.rig.supply_voltage
-
-
 def _switches(recording: Recording, start: float) -> tuple[FloatArray, bool]:
     """Times [s] after the start at which the torque flag turns, and its first state."""
     enable = recording.signals.get("torque_enable")
@@ -247,41 +221,12 @@ def held_means(drive: Signal, start: float, steps: int, timestep: float) -> Floa
     return np.asarray(np.diff(total) / timestep)
 
 
-def _rest(recording: Recording, drive: Signal, position: Signal) -> float:
-    """Supply [V] while the servo pulls least: mean of what was measured at the smallest errors."""
-    measured = recording.signals.get("supply_voltage")
-    declared = recording.rig.supply_voltage
-    if measured is None:
-        return _declared_supply(recording)
-    goal = drive.y[np.maximum(np.searchsorted(drive.t, measured.t, side="right") - 1, 0)]
-    error = np.abs(goal - np.interp(measured.t, position.t, position.y))
-    rest = float(np.mean(measured.y[error <= np.quantile(error, _REST)]))
-    # A declared supply that agrees is the better number: a servo measures in steps of 0.1 V.
-    return declared if declared and abs(declared - rest) < _AGREES * rest else rest
-
-
-def _supply_course(recording: Recording, start: float, steps: int, timestep: float) -> FloatArray:
-    """Supply in each step over its median while powered, shape (steps,)."""
-    measured = recording.signals.get("supply_voltage")
-    flat = np.ones(steps)
-    if measured is None or recording.rig.control != "position":
-        return flat
-    changes = int(np.count_nonzero(np.diff(measured.y)))
-    if changes < _SUPPLY_RATE * (measured.t[-1] - measured.t[0]):
-        return flat
-    course = np.interp((np.arange(steps) + 0.5) * timestep, measured.t - start, measured.y)
-    half = max(int(_SUPPLY_SMOOTHING / timestep / 2.0), 1)
-    total = np.concatenate([[0.0], np.cumsum(course)])
-    low, high = np.maximum(np.arange(steps) - half, 0), np.minimum(np.arange(steps) + half + 1, steps)
-    return np.asarray((total[high] - total[low]) / (high - low) / _supply(recording))
-
-
 def _starting_speed(t: FloatArray, y: FloatArray) -> float:
     """Speed at the first sample [rad/s] from a parabola through the first positions.
 
     The servo's own speed register is not used: it is filtered and late.
     """
-    count = min(int(np.searchsorted(t, _START_WINDOW, side="right")), _START_SAMPLES)
+    count = min(int(np.searchsorted(t, _START_WINDOW, side="right")), START_SAMPLES)
     if count < 8 or np.ptp(y[:count]) < _STILL:
         return 0.0
     third = count // 3
@@ -293,63 +238,6 @@ def _starting_speed(t: FloatArray, y: FloatArray) -> float:
         # Nothing that moves already gets that much faster within milliseconds; what starts from rest does.
         return 0.0
     return float(np.polynomial.Polynomial.fit(t[:count], y[:count], 2).deriv()(0.0))
-
-
-def segments(run: BenchRun, seconds: float, timestep: float, lead: float = 0.1) -> list[BenchRun]:
-    """A run cut into pieces that start from measured states: multiple shooting for what diverges.
-
-    Args:
-        run: a whole recording.
-        seconds: length of a piece [s], about: all pieces of a run are equally long.
-        timestep: of the grid [s].
-        lead: commands kept before each start [s], for those that are still under way.
-    """
-    count = max(round(run.t[-1] / seconds), 1)
-    edges = [int(np.searchsorted(run.t, i * run.t[-1] / count)) for i in range(count)] + [run.t.size - 1]
-    pieces = [_piece(run, i, a, b, timestep, lead) for i, (a, b) in enumerate(pairwise(edges))]
-    return [piece for piece in pieces if piece.t.size >= 3]
-
-
-def _piece(run: BenchRun, index: int, first: int, last: int, timestep: float, lead: float) -> BenchRun:
-    """Samples `first` to `last` as a run of its own; its grid starts at its first sample."""
-    cell = int(run.step[first])
-    shift = float(run.t[first]) - cell * timestep  # the piece's grid is the run's, moved by less than a step
-    t = run.t[first : last + 1] - run.t[first]
-    steps = int(np.ceil(t[-1] / timestep)) + 1
-    before = min(round(lead / timestep), cell)
-    share = shift / timestep
-    padded = np.append(run.command, [run.command[-1], run.command[-1]])
-    at = run.lead + cell - before + np.arange(before + steps)
-    at = np.minimum(at, padded.size - 2)
-    cells = np.minimum(np.floor(t / timestep), steps - 1)
-    turns = run.switches - run.t[first]
-    # A turn is late by the command delay as well: one just before the start may still be under way.
-    early = int(np.count_nonzero(turns <= -before * timestep))
-    # The segment's own first sample carries an encoder step of noise: its neighbours share it out.
-    around = slice(max(first - _START_SAMPLES // 2, 0), first + _START_SAMPLES // 2 + 1)
-    q0, dq0 = _local_state(run.t[around] - run.t[first], run.y[around])
-    return replace(
-        run,
-        name=f"{run.name}@{index}",
-        command=(1.0 - share) * padded[at] + share * padded[at + 1],
-        lead=before,
-        supply=run.supply[np.minimum(cell + np.arange(steps), run.supply.size - 1)],
-        switches=turns[early:],
-        powered_first=run.powered_first ^ bool(early % 2),
-        q0=run.q0 if first == 0 else q0,
-        dq0=run.dq0 if first == 0 else dq0,
-        t=t,
-        y=run.y[first : last + 1],
-        step=cells,
-        weight=t / timestep - cells,
-        free_start=True,
-    )
-
-
-def _local_state(t: FloatArray, y: FloatArray) -> tuple[float, float]:
-    """Angle [rad] and speed [rad/s] at t = 0 from a parabola through the samples around it."""
-    fitted = np.polynomial.Polynomial.fit(t, y, min(2, t.size - 1))
-    return float(fitted(0.0)), float(fitted.deriv()(0.0))
 
 
 def runs_of(recordings: Sequence[Recording], servo: Servo, timestep: float) -> list[BenchRun]:

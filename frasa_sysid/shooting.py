@@ -46,7 +46,7 @@ def shoot(problem: FitProblem, session: BenchSession, x: FloatArray) -> Shot:
     """Fit parameters and starts together, from a fit that took the starts as measured.
 
     Args:
-        problem: its training runs are pieces (`rig.segments`).
+        problem: its training runs are pieces (`pieces.segments`).
         session: simulates.
         x: start, shape (n,).
     """

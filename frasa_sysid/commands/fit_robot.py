@@ -11,22 +11,19 @@ from typing import Any
 import mujoco
 import numpy as np
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from frasa_sysid import stored_fit, stored_robot_fit
-from frasa_sysid.bench import inputs_of, origin_of
 from frasa_sysid.calibration import (
     alone,
-    input_hashes,
     load_model,
-    number,
-    read,
     read_limited,
     say,
     servo_classes,
     write_atomic,
 )
 from frasa_sysid.commands.bench import people_console
+from frasa_sysid.commands.fit_robot_record import record_of
+from frasa_sysid.commands.fit_robot_show import show_robot
 from frasa_sysid.commands.publish import PATIENCE_S, publish_files
 from frasa_sysid.commands.reading import share_of_memory
 from frasa_sysid.errors import InputError, InterruptedRunError, LogError, UsageError
@@ -34,7 +31,6 @@ from frasa_sysid.excerpt import liveliest
 from frasa_sysid.excerpt import words as said_of
 from frasa_sysid.fit import versions
 from frasa_sysid.fit_json import read_json
-from frasa_sysid.fit_record import log_facts
 from frasa_sysid.joint_checks import checks
 from frasa_sysid.model_mark import mark_of
 from frasa_sysid.published_as import as_m1
@@ -43,7 +39,7 @@ from frasa_sysid.report_robot import RobotPage, write_robot_report
 from frasa_sysid.robot_check import check_published_robot
 from frasa_sysid.robot_compare import compare_runs, held_from, last_share, of_found
 from frasa_sysid.robot_fit import RobotFit, fit_robot, frozen_model
-from frasa_sysid.robot_fit_record import Interval, RobotEstimate, RobotFitRecord, base_numbers, with_products
+from frasa_sysid.robot_fit_record import RobotFitRecord
 from frasa_sysid.robot_problem import DEFAULT_GROUPS, GROUPS, default_groups
 from frasa_sysid.robot_residuals import residual_count
 from frasa_sysid.robot_rig import is_robot
@@ -52,10 +48,6 @@ from frasa_sysid.stored_fit import StoredFit
 
 RESIDUALS = 2**19  # compared with the usual memory: the derivatives by 28 numbers take 60 times as many
 CHOOSE = "--between FROM TO chooses another, --memory GB makes room for more"
-SUM_ONLY = (
-    "command delay and delay of positions are known as a sum only: positions are taken to be {age:g} ms old, "
-    "all delays are relative to that (--position-delay)"
-)
 
 
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
@@ -104,7 +96,7 @@ def _fit_alone(args: argparse.Namespace, recordings: Sequence[Recording], out: P
     identity = _identity(args, recordings, fits, groups)
     partial = out.with_suffix(".partial.json")
     found = _fit(args, recordings, fits, groups, partial, identity)
-    record = _record(args, recordings, fits, found)
+    record = record_of(args, recordings, fits, found)
     data = {**record.to_json(), "seconds": found.seconds}
     record.save(out)
     partial.unlink(missing_ok=True)
@@ -224,42 +216,6 @@ def _resumed(partial: Path, identity: str) -> Place | None:
         return None
 
 
-def _record(
-    args: argparse.Namespace, recordings: Sequence[Recording], fits: Sequence[StoredFit], found: RobotFit
-) -> RobotFitRecord:
-    model = load_model(args.model)
-    estimates = found.estimates()
-    declared = _declared(args, read(model, "sensor.position_delay"))
-    sd = np.sqrt(np.diag(found.covariance))
-    facts = log_facts(recordings)
-    bases = {run.base for run in found.problem.runs}
-    return RobotFitRecord(
-        with_products((*estimates, *declared), base_numbers(model, fits)),
-        tuple(one.name for one in estimates),
-        found.covariance / np.outer(sd, sd),
-        bases.pop() if len(bases) == 1 else "both",
-        mark_of(model),
-        {name: number(model, f"servo_{name}") for name in ("supply_voltage", "firmware_gain")},
-        tuple(one.sha256 for one in fits),
-        inputs_of(recordings),
-        origin_of(recordings),
-        _pair(facts.get("supply_voltage")),
-        _pair(facts.get("delay_jitter")),
-        (SUM_ONLY.format(age=args.position_delay * 1e3),),
-        {"misfit": _misfit(found), "physical_delays": _physical(found), "seed": args.seed, "versions": versions(),
-         "models": input_hashes([args.model]), "parts": said_of(recordings),
-         "converged": found.settled.converged, "evaluations": found.settled.evaluations},
-    )  # fmt: skip
-
-
-def _declared(args: argparse.Namespace, before: float) -> list[RobotEstimate]:
-    """The age of positions, where it is another one than the model's [s]: the command delay is the sum less it."""
-    age = float(args.position_delay)
-    if age == before:
-        return []
-    return [RobotEstimate("sensor.position_delay", age, age, age, "fixed: declared by --position-delay", before)]
-
-
 def _report(
     args: argparse.Namespace,
     fits: Sequence[StoredFit],
@@ -286,58 +242,3 @@ def _publish(args: argparse.Namespace, fits: Sequence[StoredFit], found: RobotFi
 
     with alone(model_path, patience_s=PATIENCE_S):
         return publish_files(fits, args.model, model_path, check, args.as_law, robot)
-
-
-def _pair(limits: Sequence[float] | None) -> Interval | None:
-    return None if limits is None else (float(limits[0]), float(limits[1]))
-
-
-def _misfit(found: RobotFit) -> dict[str, Any]:
-    """By stage: error of positions as for a bench, and of every channel in its own unit."""
-    return {
-        stage: {
-            "mae_rad": channels["position"][0],
-            "rmse_rad": channels["position"][1],
-            "by_channel": {name: {"mae": pair[0], "rmse": pair[1]} for name, pair in channels.items()},
-        }
-        for stage, channels in found.errors.items()
-    }
-
-
-def _physical(found: RobotFit) -> dict[str, dict[str, float]]:
-    """Delays as they are, without the half step by which a model's differ [s]."""
-    return {
-        free.name: {"value": float(x), "low": max(float(x - half), 0.0), "high": float(x + half)}
-        for free, x, half in zip(found.problem.free, found.settled.x, found.half, strict=True)
-        if free.kind.unit == "s"
-    }
-
-
-def show_robot(found: RobotFit, record: RobotFitRecord) -> None:
-    """Numbers, verdicts and errors, for people."""
-    console = people_console()
-    table = Table()
-    for column in ("number", "before", "fitted", "95 % interval", "unit", "verdict"):
-        table.add_column(column, justify="left" if column in ("number", "unit", "verdict") else "right")
-    units = {free.name: free.kind.unit for free in found.problem.free}
-    advice: dict[str, list[str]] = {}
-    for one in record.estimates:
-        if one.name in units:
-            scale, unit = (
-                (1e3, {"s": "ms", "rad": "mrad", "m": "mm"}[units[one.name]]) if units[one.name] != "1" else (1.0, "1")
-            )
-            interval = f"{one.low * scale:.4g} .. {one.high * scale:.4g}"
-            colour = "green" if one.verdict == "identified" else "yellow"
-            table.add_row(one.name, f"{one.nominal * scale:.4g}", f"{one.value * scale:.4g}", interval, unit,
-                          f"[{colour}]{one.verdict}[/{colour}]")  # fmt: skip
-            if one.advice:
-                advice.setdefault(one.advice, []).append(one.name)
-    console.print(table)
-    for words, names in advice.items():
-        console.print(f"  {', '.join(names)}: {words}")
-    for words in record.not_in_model:
-        console.print(f"  {words}")
-    for stage, channels in found.errors.items():
-        parts = [f"{name} {pair[0]:.4g}" for name, pair in channels.items()]
-        console.print(f"  mean error {stage}: {', '.join(parts)} (rad, rad/s)")
-    console.print(f"{found.settled.evaluations} robots simulated, {found.seconds:.0f} s")

@@ -18,7 +18,7 @@ from frasa_sysid.servo import TABLES, find_table
 from frasa_sysid.servo_bench import bench_model
 from frasa_sysid.servo_table import ServoTable
 from frasa_sysid.servo_text import new_table
-from frasa_sysid.simulate import bench_for
+from frasa_sysid.simulated_bench import bench_for
 
 SCHEMA = "frasa.servos/1"
 

@@ -9,7 +9,8 @@ from frasa_sysid.calibration import add_json_flag, say, sha256_of_file
 from frasa_sysid.commands.simulate_robot import add_robot_arguments, run_robot
 from frasa_sysid.errors import UsageError
 from frasa_sysid.servo import find_table
-from frasa_sysid.simulate import bench_of, simulate_bench, truth_of
+from frasa_sysid.simulate import simulate_bench, truth_of
+from frasa_sysid.simulated_bench import bench_of
 from frasa_sysid.writer import write_mcap
 
 SCHEMA = "frasa.simulate/1"

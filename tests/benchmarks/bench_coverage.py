@@ -26,7 +26,8 @@ from frasa_sysid.fit import fit
 from frasa_sysid.problem import state_problem
 from frasa_sysid.rig import runs_of
 from frasa_sysid.servo import PUBLISHED_M4, Servo, servo
-from frasa_sysid.simulate import Bench, simulate_bench
+from frasa_sysid.simulate import simulate_bench
+from frasa_sysid.simulated_bench import Bench
 
 MODEL = Path(__file__).parents[2] / "robot_model" / "bench_pendulum.xml"
 STEP = 0.00025  # [s] of the fit

@@ -18,7 +18,8 @@ from frasa_sysid.readers import read_log
 from frasa_sysid.recording import Recording
 from frasa_sysid.rig import runs_of
 from frasa_sysid.servo import PUBLISHED_M4
-from frasa_sysid.simulate import BENCHES, simulate_bench
+from frasa_sysid.simulate import simulate_bench
+from frasa_sysid.simulated_bench import BENCHES
 
 ROOT = Path(__file__).resolve().parents[2]
 FIRMWARE_TICK = 0.0005  # [s] a command waits half a firmware period on average; it is part of the delay a fit can see

@@ -18,7 +18,8 @@ from frasa_sysid.readers.jandi import read_jandi
 from frasa_sysid.readout import separate
 from frasa_sysid.recording import Recording
 from frasa_sysid.servo import PUBLISHED_M4
-from frasa_sysid.simulate import BENCHES, PHYSICS_DT, Bench, simulate_bench
+from frasa_sysid.simulate import PHYSICS_DT, simulate_bench
+from frasa_sysid.simulated_bench import BENCHES, Bench
 
 COUNT = 40
 SEED = 5

@@ -21,7 +21,8 @@ from frasa_sysid.bench import Bench
 from frasa_sysid.calibration.friction import LAWS
 from frasa_sysid.cost import Misfit
 from frasa_sysid.fit import ladder, misfits
-from frasa_sysid.problem import split, state_problem, stated_servo
+from frasa_sysid.hold_out import split
+from frasa_sysid.problem import state_problem, stated_servo
 from frasa_sysid.readers import read_log
 
 ROOT = Path(__file__).parents[2]

@@ -13,7 +13,8 @@ from frasa_sysid.calibration import servo_law
 from frasa_sysid.calibration.fast_math import fast_exp2, fast_log2, fast_sin
 from frasa_sysid.calibration.friction import COEFFICIENTS, Friction, friction_loss
 from frasa_sysid.calibration.stepping import EULER, TRAPEZOIDAL
-from frasa_sysid.rig import BenchRun, segments
+from frasa_sysid.pieces import segments
+from frasa_sysid.rig import BenchRun
 from frasa_sysid.rollout import BenchSimulator
 from frasa_sysid.servo import servo
 from frasa_sysid.servo_values import ServoValues

@@ -10,7 +10,8 @@ from frasa_sysid.calibration import load_calibration, load_model, read, run_comm
 from frasa_sysid.cli import build_parser
 from frasa_sysid.recording import Signal
 from frasa_sysid.servo import read_servo
-from frasa_sysid.simulate import bench_for, simulate_bench, truth_of
+from frasa_sysid.simulate import simulate_bench, truth_of
+from frasa_sysid.simulated_bench import bench_for
 from frasa_sysid.writer import write_mcap
 
 TABLE = """

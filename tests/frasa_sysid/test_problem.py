@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from frasa_sysid.errors import LogError, ModelError, UsageError
-from frasa_sysid.problem import servo_name, split, stated_servo
+from frasa_sysid.hold_out import split
+from frasa_sysid.problem import servo_name, stated_servo
 from frasa_sysid.recording import Recording, RigFacts, Signal
 from frasa_sysid.servo import servo
 from frasa_sysid.servo_values import ServoValues

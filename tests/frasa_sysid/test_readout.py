@@ -15,7 +15,8 @@ from frasa_sysid.readers.jandi import read_jandi
 from frasa_sysid.readout import PUBLISHED, SEPARATED, SUM_ONLY, Readout, disagreement, separate
 from frasa_sysid.recording import Recording, Signal
 from frasa_sysid.servo import PUBLISHED_M4
-from frasa_sysid.simulate import BENCHES, simulate_bench
+from frasa_sysid.simulate import simulate_bench
+from frasa_sysid.simulated_bench import BENCHES
 from frasa_sysid.stored_fit import load
 from frasa_sysid.writer import write_mcap
 

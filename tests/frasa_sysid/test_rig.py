@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 
 from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.errors import LogError
+from frasa_sysid.pieces import segments
 from frasa_sysid.recording import Recording, RigFacts, Signal
-from frasa_sysid.rig import GRAVITY, bench_run, segments
+from frasa_sysid.rig import GRAVITY, bench_run
 from frasa_sysid.servo import servo
 from frasa_sysid.servo_values import ServoValues
 

@@ -11,8 +11,9 @@ from frasa_sysid.calibration import run_command
 from frasa_sysid.cli import build_parser
 from frasa_sysid.evidence import IDENTIFIED, ROUGH, evidence
 from frasa_sysid.fit import fit
+from frasa_sysid.pieces import segments
 from frasa_sysid.problem import state_problem, stated_servo
-from frasa_sysid.rig import BenchRun, segments
+from frasa_sysid.rig import BenchRun
 from frasa_sysid.shooting import shoot, without_starts
 
 STEP = 0.001  # [s] of the fit

@@ -8,7 +8,8 @@ from frasa_sysid import trajectories
 from frasa_sysid.calibration.friction import Friction
 from frasa_sysid.readers import read_log
 from frasa_sysid.servo import PUBLISHED_M4
-from frasa_sysid.simulate import BENCHES, ENCODER_COUNT, Bench, bench_of, simulate_bench
+from frasa_sysid.simulate import ENCODER_COUNT, simulate_bench
+from frasa_sysid.simulated_bench import BENCHES, Bench, bench_of
 
 MX64 = PUBLISHED_M4["mx64"]
 STEADY = Bench(

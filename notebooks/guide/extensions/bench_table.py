@@ -13,7 +13,8 @@ from frasa_sysid.problem import FitProblem, state_problem, stated_servo
 from frasa_sysid.recording import FloatArray, RigFacts
 from frasa_sysid.rig import runs_of
 from frasa_sysid.servo import NOMINAL, PUBLISHED_M4, Servo
-from frasa_sysid.simulate import BENCHES, simulate_bench, truth_of
+from frasa_sysid.simulate import simulate_bench, truth_of
+from frasa_sysid.simulated_bench import BENCHES
 
 SERVO = "mx106"
 FIRST_LOAD, FIRST_GAIN = 0.535, 8.0

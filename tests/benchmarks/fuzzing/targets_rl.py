@@ -131,13 +131,14 @@ def _run() -> Path:
 
 def _checkpoint() -> Read:
     """What `train --resume` reads, put into one learner and its robots again and again."""
-    from frasa_rl import train as training
     from frasa_rl.checkpoint import load_checkpoint
     from frasa_rl.plan import describe, plan_of
+    from frasa_rl.train import make_loop
+    from frasa_rl.training_run import Run
 
     out = _run()
     plan = plan_of(out)
-    kept = training._Run(plan, describe(plan), training.make_loop(plan))
+    kept = Run(plan, describe(plan), make_loop(plan))
 
     def read(path: Path) -> int:
         load_checkpoint(path, kept._mark, kept._loop.learner.load, kept._restore)
