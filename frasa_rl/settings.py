@@ -61,7 +61,7 @@ class Settings:
     batch: int = 128
     buffer: int = 600_000
     discount: float = 0.97
-    n_step: int = 3
+    n_step: int = 1
     learning_rate: float = 1e-3
     policy_delay: int = 3
     actor: tuple[int, ...] = (128, 128)

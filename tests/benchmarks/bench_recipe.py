@@ -6,9 +6,9 @@
 `train` runs one `frasa-rl sweep` a variant into OUT/NAME, each agent until 90 % of the held-out falls end standing in
 two evaluations or its minutes or steps are over; called again it goes on where it was. `report` reads every run folder
 below OUT/NAME, whoever made it, and of an earlier recipe.csv the runs that OUT does not have, prints the table, and
-with `--write` leaves recipe.csv (all evaluations of all runs) and recipe.png. Steps and updates to a success do not
-depend on the machine; minutes are those of the run, and only comparable between runs that had the machine to
-themselves, or shared it in the same way: see how they were made.
+with `--write` leaves recipe.csv (all evaluations of all runs) and recipe.png, or what `--name` says. Steps and updates
+to a success do not depend on the machine; minutes are those of the run, and only comparable between runs that had the
+machine to themselves, or shared it in the same way: see how they were made.
 """
 
 import argparse
@@ -49,6 +49,7 @@ VARIANTS: dict[str, dict[str, str]] = {
     "n-step-1": {"n_step": "1"},
     "n-step-5": {"n_step": "5"},
     "entropy-1": {"target_entropy": "-1"},
+    "n-step-1-entropy-1": {"n_step": "1", "target_entropy": "-1"},
     "updates-quarter": {"updates_per_step": "0.25"},
     "updates-1": {"updates_per_step": "1"},
     "batch-256": {"batch": "256"},
@@ -57,6 +58,7 @@ VARIANTS: dict[str, dict[str, str]] = {
     "sac": {"algorithm": "sac"},
 }
 SHARES = (0.5, 0.9)
+SHOWN = (200, 6)  # thousand transitions and minutes; runs beside other work took longer
 
 
 @dataclass(frozen=True)
@@ -146,17 +148,17 @@ def report(found: dict[str, list[Run]]) -> None:
         print(f"{minutes[0]:7.1f} {minutes[1]:6.1f}  {differs(name)}")
 
 
-def write(found: dict[str, list[Run]], out: Path) -> None:
-    """recipe.csv and recipe.png."""
-    with (out / "recipe.csv").open("w", newline="", encoding="utf-8") as file:
+def write(found: dict[str, list[Run]], out: Path, name: str) -> None:
+    """A table of all evaluations, and its picture."""
+    with (out / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file, lineterminator="\n")
-        names = [name for name in EVALUATIONS.columns if name != "best"]
+        names = [one for one in EVALUATIONS.columns if one != "best"]
         rows.writerow(["variant", "seed", "updates", *names])
-        for name, runs in found.items():
+        for variant, runs in found.items():
             for run in runs:
                 each = zip(run.updates, *(run.columns[one] for one in names), strict=True)
-                rows.writerows([name, run.seed, *(f"{one:.6g}" for one in row)] for row in each)
-    draw(found, out / "recipe.png")
+                rows.writerows([variant, run.seed, *(f"{one:.6g}" for one in row)] for row in each)
+    draw(found, out / f"{name}.png")
 
 
 def draw(found: dict[str, list[Run]], path: Path) -> None:
@@ -166,15 +168,18 @@ def draw(found: dict[str, list[Run]], path: Path) -> None:
     figure = Figure(figsize=(9.0, 1.2 + 1.5 * len(found)), layout="constrained")
     axes = figure.subplots(len(found), 2, sharex="col", sharey=True, squeeze=False)
     for row, (name, runs) in zip(axes, found.items(), strict=True):
-        for one, against, scale in zip(row, ("steps", "minutes"), (1e-3, 1.0), strict=True):
-            curves = [(run.columns[against] * scale, 100.0 * run.success) for run in runs]
+        for one, against, scale, most in zip(row, ("steps", "minutes"), (1e-3, 1.0), SHOWN, strict=True):
+            # Before the first evaluation stands what an untrained policy has, so that all curves begin together.
+            curves = [
+                (np.append(0.0, run.columns[against] * scale), np.append(0.0, 100.0 * run.success)) for run in runs
+            ]
             end = max(x[-1] for x, _ in curves)
             for x, y in curves:
                 one.plot(x, y, color="tab:orange", lw=0.7, alpha=0.6)
             # A run that ended early had success: it counts on with what it had.
             middle = spread([(np.append(x, end), np.append(y, y[-1])) for x, y in curves])
             one.plot(middle.x, middle.levels[2], color="tab:blue", lw=1.8)
-            one.set_xlim(0, None)
+            one.set_xlim(0, most)
             one.grid(alpha=0.3)
         row[0].set_ylabel(name, fontsize=8)
     axes[0, 0].set_title("held-out falls that end standing [%]", fontsize=9)
@@ -195,6 +200,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--earlier", type=Path, help="a recipe.csv whose runs count where OUT has none")
     parser.add_argument("--write", type=Path, help="folder for recipe.csv and recipe.png")
+    parser.add_argument("--name", default="recipe", help="of what --write leaves")
     given = parser.parse_args()
     if given.what == "train":
         ends = ["--minutes", f"{given.minutes:g}", "--until-success", str(SHARES[-1])]
@@ -205,7 +211,7 @@ def main() -> None:
         sys.exit(f"{given.out}: no run folders with evaluations in folders below it")
     report(found)
     if given.write:
-        write(found, given.write)
+        write(found, given.write, given.name)
 
 
 if __name__ == "__main__":
