@@ -219,7 +219,9 @@ def test_the_task_is_given_once(model_path, folder, tmp_path, capsys, few_starts
     from frasa_rl.cli import main
     from frasa_rl.policy import Policy
 
-    words = ["--model", str(model_path), "--task", str(folder / "standup.yaml")]
+    own = tmp_path / "own.yaml"
+    own.write_text((folder / "standup.yaml").read_text() + "end_gyro: 8.0\n")
+    words = ["--model", str(model_path), "--task", str(own)]
     run = str(tmp_path / "run")
     assert main(["train", *words, "--steps", "600", "--out", run, "--json"]) == 0
     shown = capsys.readouterr()
