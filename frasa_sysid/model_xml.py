@@ -1,5 +1,6 @@
 """The calibrated model as XML: the nominal file with what is changed written out, and the rest included."""
 
+import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
@@ -9,10 +10,12 @@ from lxml import etree
 from frasa_sysid.calibration import SERVO_FIELDS, read, servo_classes, stepping
 from frasa_sysid.calibration.apply import LEAST_FRICTION
 from frasa_sysid.calibration.friction import Friction
+from frasa_sysid.calibration.model_file import FOLDERS, PICTURES
 from frasa_sysid.calibration.servo_law import SUFFIX
 from frasa_sysid.errors import ModelError
 
 _ACTUATOR_FIELDS = {"kp", "forcerange", "delay"}
+_ID = "calibration_id"
 Wanted = Callable[[etree._Element], bool]
 
 
@@ -71,10 +74,28 @@ def parts_of(nominal: Path) -> list[Path]:
     return found
 
 
-def relocate_includes(root: etree._Element, before: Path, after: Path) -> None:
-    """Write the other includes out where the model will stand in another folder: it may not reach outside of that."""
-    if before.resolve() != after.resolve():
-        _write_out(root, before, lambda _: True)
+def relocate(root: etree._Element, before: Path, after: Path) -> None:
+    """Make the model stand in another folder: no file is included from there, and assets are found where they are.
+
+    Args:
+        root: the model.
+        before: folder of the file it was read from.
+        after: folder that it will stand in.
+    """
+    before, after = before.resolve(), after.resolve()
+    if before == after:
+        return
+    _write_out(root, before, lambda _: True)
+    if not any(one.get(name) for asset in root.iter("asset") for one in asset for name in PICTURES):
+        return
+    compilers = list(root.iter("compiler")) or [etree.SubElement(root, "compiler")]
+    if all(one.get("assetdir") is None for one in compilers):
+        compilers[0].set("assetdir", "")
+    for one in compilers:
+        for name in ("assetdir", *set(FOLDERS.values())):
+            place = one.get(name)
+            if place is not None:
+                one.set(name, Path(os.path.relpath(before / place, after)).as_posix())
 
 
 def _remove(parent: etree._Element, child: etree._Element) -> None:
@@ -160,7 +181,17 @@ def _child(parent: etree._Element, tag: str) -> etree._Element:
 
 def write_id(root: etree._Element, key: str) -> None:
     """Write the calibration id as the custom text `calibration_id`."""
-    etree.SubElement(_child(root, "custom"), "text", name="calibration_id", data=key)
+    etree.SubElement(_child(root, "custom"), "text", name=_ID, data=key)
+
+
+def id_of(path: Path) -> str | None:
+    """The calibration id that a file carries itself, as `write_id` wrote it; None where it has none.
+
+    Raises:
+        ModelError: it is not XML.
+    """
+    places = [one for one in _parse(path).iter("text") if one.get("name") == _ID]
+    return places[0].get("data") if places else None
 
 
 def write_number(root: etree._Element, name: str, values: Iterable[float]) -> None:

@@ -20,12 +20,11 @@ from frasa_sysid.calibration import (
     Calibration,
     CalibrationError,
     OutputError,
-    calibration_id,
+    alone,
     delay_room,
     load_model,
     number,
     read,
-    servo_law,
     sha256_of,
     write_atomic,
     write_together,
@@ -38,8 +37,7 @@ from frasa_sysid.errors import InputError, ModelError, QualityError
 from frasa_sysid.history_room import longest_delays, room_for
 from frasa_sysid.model_xml import (
     inlined,
-    parts_of,
-    relocate_includes,
+    relocate,
     write_class,
     write_id,
     write_number,
@@ -47,12 +45,14 @@ from frasa_sysid.model_xml import (
 )
 from frasa_sysid.published_check import check_compiled
 from frasa_sysid.published_headline import headline
+from frasa_sysid.published_place import check_nominal, check_ranges_free
 from frasa_sysid.published_ranges import SUPPLY, ranges_of
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.robot_xml import wanted_parts, write_robot, write_room
 from frasa_sysid.stored_fit import StoredFit
 from frasa_sysid.stored_robot_fit import StoredRobotFit
 
+PATIENCE_S = 60.0  # another publication is over in a second or two
 REPLAY_TOLERANCE = 1e-4  # [rad] between the published model and what the fit saw
 REPLAY_TOLERANCE_LAW = 1e-3  # [rad] the same with a law, whose friction MuJoCo's solver softens
 
@@ -80,7 +80,8 @@ def publish(fits: Sequence[StoredFit], nominal: Path, out: Path, robot: StoredRo
     Args:
         fits: of servos; two may not claim one parameter. For Coulomb-viscous stand-ins: `as_m1` of them.
         nominal: the model they started from.
-        out: where the model will stand; in another folder than the nominal one it includes no file.
+        out: where the model will stand; in another folder than the nominal one it includes no file, and
+            finds meshes and pictures where they are.
         robot: a fit of the whole robot, which may stand on those of servos; see `claims`.
 
     Raises:
@@ -88,15 +89,17 @@ def publish(fits: Sequence[StoredFit], nominal: Path, out: Path, robot: StoredRo
             another robot.
         ModelError: the nominal model lacks a class, sensor, joint or trunk, is not XML, is calibrated already,
             carries a friction law, or would be overwritten.
+        UsageError: another model in that folder would lose its ranges.
     """
-    _check_place(nominal, out)
+    check_nominal(nominal, out)
     model = load_model(nominal)
     claims = settle(fits, robot)
     _check_stated(claims, nominal, model)
     check_model(claims, model)
     root = inlined(nominal, wanted_parts(claims.body_values()))
     key, made_from = _identity(claims, root), _made_from(claims, root, nominal)
-    relocate_includes(root, nominal.parent, out.parent)
+    check_ranges_free(out, key)
+    relocate(root, nominal.parent, out.parent)
     calibration = ranges_of(claims, key, {one.servo: delay_room(model, one.servo) for one in claims.benches})
     laws = claims.laws()
     for servo, fields in claims.servos().items():
@@ -142,19 +145,23 @@ def write(
     Raises:
         QualityError: the compiled model differs from the nominal one with the fits applied to it;
             nothing was replaced then.
+        ModelError: MuJoCo cannot compile it, or its meshes lie where no model may read there.
+        UsageError: another model in that folder would lose its ranges.
     """
     candidate = out.with_name(f".{out.stem}.candidate.xml")
     try:
         try:
             write_atomic(candidate, published.xml)
-        except OutputError as error:  # the name that the user knows
-            raise OutputError(str(error).replace(str(candidate), str(out))) from error
-        model = load_model(candidate)
+            model = load_model(candidate)
+        except (OutputError, ModelError) as error:  # the name that the user knows
+            raise type(error)(str(error).replace(candidate.name, out.name)) from error
         check_compiled(model, published.calibration, published.claims, nominal)
         if check is not None:
             check(model, candidate)
         ranges = out.with_name(RANGES_FILE)
-        write_together({ranges: published.ranges, out: published.xml})
+        with alone(ranges, patience_s=PATIENCE_S):  # also against who publishes under another name there
+            check_ranges_free(out, published.calibration.id)
+            write_together({ranges: published.ranges, out: published.xml})
     finally:
         candidate.unlink(missing_ok=True)
     return ranges
@@ -186,17 +193,6 @@ def check_replay(
             f"{tolerance * 1e3:.1f} mrad"
         )
     return worst
-
-
-def _check_place(nominal: Path, out: Path) -> None:
-    model = load_model(nominal)
-    if calibration_id(model) is not None:
-        raise ModelError(f"{nominal} is calibrated already; publish from the nominal model")
-    if servo_law.has_law(model):
-        raise ModelError(f"{nominal} carries a friction law already; publish from a model without")
-    sources = parts_of(nominal)
-    if out.resolve() in {source.resolve() for source in sources}:
-        raise ModelError(f"{out} is part of the nominal model, which publishing never changes; choose another --out")
 
 
 def _check_stated(claims: Claims, nominal: Path, model: mujoco.MjModel) -> None:

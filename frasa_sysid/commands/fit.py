@@ -18,14 +18,15 @@ from frasa_sysid.claims import settle
 from frasa_sysid.commands.bench import add_bench_arguments, bench_model, load_bench, people_console, read_logs
 from frasa_sysid.commands.fit_robot import add_robot_arguments, fit_robot_logs
 from frasa_sysid.commands.fit_show import show
-from frasa_sysid.commands.publish import PATIENCE_S, add_as_flag, load_fits, publish_files
+from frasa_sysid.commands.publish import add_as_flag, load_fits, publish_files
 from frasa_sysid.effects import EFFECTS
 from frasa_sysid.errors import CalibrationError, InterruptedRunError, UsageError
 from frasa_sysid.fit import RESTARTS, FitResult, fit
 from frasa_sysid.fit_json import read_json
 from frasa_sysid.fit_record import Extras, log_facts, save, to_json
 from frasa_sysid.identifiability import bench_findings, next_logs
-from frasa_sysid.publish import find_fits
+from frasa_sysid.publish import PATIENCE_S, find_fits
+from frasa_sysid.published_place import check_ranges_free
 from frasa_sysid.readout import LONGEST_AGE, disagreement, separate
 from frasa_sysid.replay import replay
 from frasa_sysid.report import write_fit_report
@@ -240,6 +241,7 @@ def _check_publishable(args: argparse.Namespace, bench: Bench, out: Path) -> Non
             f"--publish: {args.model} has no servo class '{bench.servo.name}', it has "
             f"{', '.join(servo_classes(load_model(args.model))) or 'none'}"
         )
+    check_ranges_free(args.model.with_name("calibrated.xml"))
     if out.parent.resolve() != (args.model.parent / "fits").resolve():
         raise UsageError(f"--publish takes every fit of {args.model.parent / 'fits'}; --out {out} is elsewhere")
     for path in sorted(out.parent.glob("*.json")):

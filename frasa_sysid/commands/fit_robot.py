@@ -24,7 +24,7 @@ from frasa_sysid.calibration import (
 from frasa_sysid.commands.bench import people_console
 from frasa_sysid.commands.fit_robot_record import record_of
 from frasa_sysid.commands.fit_robot_show import show_robot
-from frasa_sysid.commands.publish import PATIENCE_S, publish_files
+from frasa_sysid.commands.publish import publish_files
 from frasa_sysid.commands.reading import share_of_memory
 from frasa_sysid.errors import InputError, InterruptedRunError, LogError, UsageError
 from frasa_sysid.excerpt import liveliest
@@ -33,7 +33,9 @@ from frasa_sysid.fit import versions
 from frasa_sysid.fit_json import read_json
 from frasa_sysid.joint_checks import checks
 from frasa_sysid.model_mark import mark_of
+from frasa_sysid.publish import PATIENCE_S
 from frasa_sysid.published_as import as_m1
+from frasa_sysid.published_place import check_ranges_free
 from frasa_sysid.recording import Recording
 from frasa_sysid.report_robot import RobotPage, write_robot_report
 from frasa_sysid.robot_check import check_published_robot
@@ -138,6 +140,8 @@ def _check(args: argparse.Namespace, recordings: Sequence[Recording]) -> None:
         raise UsageError(f"--position-delay {args.position_delay:g}: expected seconds, 0 to 0.1")
     if args.out is not None and args.out.suffix != ".json":
         raise UsageError(f"--out {args.out}: expected a name that ends in .json")
+    if args.publish:
+        check_ranges_free(args.model.with_name("calibrated.xml"))  # now, not after minutes
 
 
 def _frozen(args: argparse.Namespace) -> list[StoredFit]:

@@ -12,13 +12,12 @@ from frasa_sysid.bench import NOMINAL_MODEL
 from frasa_sysid.calibration import add_json_flag, alone, input_hashes, say
 from frasa_sysid.errors import InputError
 from frasa_sysid.fit_json import ROBOT, read_json
-from frasa_sysid.publish import publish, write
+from frasa_sysid.publish import PATIENCE_S, publish, write
 from frasa_sysid.published_as import as_m1, price
 from frasa_sysid.stored_fit import StoredFit
 from frasa_sysid.stored_robot_fit import StoredRobotFit
 
 SCHEMA = "frasa.publish/1"
-PATIENCE_S = 60.0  # another publication is over in a second or two
 
 
 def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -52,6 +51,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     Raises:
         InputError: a bad fit file or model, or two fits that claim one parameter.
+        UsageError: another model in that folder would lose its ranges.
     """
     out: Path = args.out or args.model.with_name("calibrated.xml")
     with alone(out, patience_s=PATIENCE_S):

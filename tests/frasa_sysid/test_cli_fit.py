@@ -319,6 +319,26 @@ def test_other_fits_are_looked_at_first(place, capsys):
     assert "a fit of mx64 too" in err
 
 
+def test_a_variant_beside_is_seen_before_the_fit(place, capsys):
+    """Ranges of another model in the folder are said at once, for a bench and for a robot; the other place works."""
+    nominal = place / "robot_model" / "nominal.xml"
+    assert frasa(*fit_words(place, "--no-report", "--optimizer", "cmaes")) == 0
+    fit = place / "robot_model" / "fits" / "mx64.json"
+    variant = place / "robot_model" / "variant.xml"
+    assert frasa("publish", fit, "--model", nominal, "--out", variant) == 0
+    capsys.readouterr()
+    before = fit.stat().st_mtime_ns
+    robot = Path(__file__).parents[2] / "bench_logs" / "robot.mcap"
+    for words in (fit_words(place, "--publish"), ["fit", robot, "--model", nominal, "--publish"]):
+        assert frasa(*words) == 2
+        err = capsys.readouterr().err
+        assert err.splitlines()[-1].startswith(f"frasa-sysid: {variant.with_name('calibrated.xml')} would take the")
+        assert fit.stat().st_mtime_ns == before
+    own = place / "own" / "calibrated.xml"
+    assert frasa("publish", fit, "--model", nominal, "--out", own) == 0
+    assert load_calibration(own).id == load_calibration(variant).id
+
+
 def test_compare_keeps_namesakes_apart(place, capsys):
     """Two models of one file name are two candidates."""
     for name in ("a", "b"):

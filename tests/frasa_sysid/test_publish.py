@@ -7,7 +7,7 @@ import pytest
 
 from frasa_sysid import fit_json, stored_fit
 from frasa_sysid.calibration import CalibrationError, calibration_id, load_calibration, load_model, parameter, read
-from frasa_sysid.errors import InputError, ModelError, QualityError
+from frasa_sysid.errors import InputError, ModelError, QualityError, UsageError
 from frasa_sysid.publish import check_replay, find_fits, publish, replay_tolerance, write
 
 FITTED = {
@@ -55,7 +55,7 @@ def fits(tmp_path):
 
 
 def contents(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
 def test_compiled_numbers_are_the_fitted_ones(model_dir, fits):
@@ -131,6 +131,63 @@ def test_another_folder_still_compiles(model_dir, fits, tmp_path):
     assert load_model(out).nu == load_model(model_dir / "nominal.xml").nu
     assert load_calibration(out).values()["mx64.forcerange"] == 4.25
     assert [path.name for path in sorted(out.parent.iterdir())] == ["randomization.yaml", "robot.xml"]
+
+
+def test_another_folder_finds_meshes(model_dir, fits, tmp_path, monkeypatch):
+    """Meshes and pictures stay where they are; where the new place may not read them, nothing is written."""
+    nominal, out = model_dir / "nominal.xml", model_dir / "variant" / "calibrated.xml"
+    (model_dir / "meshes").mkdir()
+    corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    faces = [(1, 3, 2), (1, 2, 4), (1, 4, 3), (2, 3, 4)]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a} {b} {c}" for a, b, c in faces]
+    (model_dir / "meshes" / "shell.obj").write_text("\n".join(lines) + "\n")
+    text = nominal.read_text()
+    for compiler, name in (("", "meshes/shell.obj"), ('<compiler meshdir="meshes"/>', "shell.obj")):
+        nominal.write_text(text.replace("</mujoco>", f'{compiler}<asset><mesh file="{name}"/></asset></mujoco>'))
+        monkeypatch.chdir(model_dir)
+        write(publish(fits, nominal, out), nominal, out)
+        assert load_model(out).mesh("shell").vertnum == 4
+        assert load_calibration(out).values()["mx64.forcerange"] == 4.25
+        before = contents(out.parent)
+        monkeypatch.chdir(tmp_path.parent / tmp_path.name / "robot_model" / "meshes")
+        with pytest.raises(ModelError, match=r"variant/calibrated\.xml: <mesh> names .*outside"):
+            write(publish(fits[:1], nominal, out), nominal, out)
+        assert contents(out.parent) == before
+
+
+def test_the_ranges_of_another_model_are_not_taken(model_dir, fits):
+    """A second model beside a published one is refused before anything is written."""
+    nominal, out = model_dir / "nominal.xml", model_dir / "calibrated.xml"
+    write(publish(fits, nominal, out), nominal, out)
+    before = contents(model_dir)
+    with pytest.raises(UsageError, match=r"would take the ranges of calibrated\.xml.*--out FOLDER"):
+        publish(fits[:1], nominal, model_dir / "variant.xml")
+    # Published by another process between the two, under another name: seen before it is written.
+    out.rename(model_dir / "away")
+    late = publish(fits[:1], nominal, model_dir / "variant.xml")
+    (model_dir / "away").rename(out)
+    with pytest.raises(UsageError, match="ranges of calibrated"):
+        write(late, nominal, model_dir / "variant.xml")
+    assert contents(model_dir) == before
+    assert load_calibration(out).id == calibration_id(load_model(out))
+
+
+def test_ranges_that_may_be_replaced(model_dir, fits):
+    """Those of the same model, of a copy of it, of the same calibration, broken ones, and those of nobody."""
+    nominal, out = model_dir / "nominal.xml", model_dir / "calibrated.xml"
+    write(publish(fits, nominal, out), nominal, out)
+    write(publish(fits, nominal, model_dir / "same.xml"), nominal, model_dir / "same.xml")
+    assert load_calibration(out).id == load_calibration(model_dir / "same.xml").id
+    (model_dir / "same.xml").rename(model_dir / "before.xml")
+    write(publish(fits[:1], nominal, out), nominal, out)
+    assert load_calibration(out).id == calibration_id(load_model(out))
+    (model_dir / "randomization.yaml").write_text("no ranges")
+    write(publish(fits, nominal, model_dir / "other.xml"), nominal, model_dir / "other.xml")
+    assert load_calibration(model_dir / "other.xml").id == calibration_id(load_model(model_dir / "other.xml"))
+    (model_dir / "other.xml").unlink()
+    (model_dir / "before.xml").write_text("no model")
+    write(publish(fits[1:], nominal, out), nominal, out)
+    assert "mx106.kp" not in load_calibration(out).values()
 
 
 def test_two_fits_of_one_parameter(model_dir, fits, tmp_path):
