@@ -27,6 +27,7 @@ from frasa_sysid.recording import Recording
 from frasa_sysid.servo import Servo
 
 FINE = 0.0005  # rad; noise of a position that shows no steps
+DECLARE = "declare the load's mass and length: --mass KG --length M of 'import', or of 'fit' where all logs have one load"
 
 
 def findings(motions: Sequence[Motion]) -> list[Finding]:
@@ -74,7 +75,7 @@ def _gain(motions: Sequence[Motion]) -> Finding:
     if is_bare(driven):
         return Finding(name, "weak", "a bare horn: torques come out only in proportion to the armature", LOAD)
     if not (loaded or inertial):
-        record = "hang a known load on the arm and declare its mass and length"
+        record = f"hang a known load on the arm; {DECLARE}"
         return Finding(name, "weak", "no known load: torques come out only in proportion to the armature", record)
     known = loaded or inertial
     error = max(one.error_p95 for one in known)
@@ -146,9 +147,7 @@ def _armature(motions: Sequence[Motion]) -> Finding:
     if is_bare(motions):
         return Finding(name, "weak", f"{reason}, but of a bare horn: only its ratio to the gain shows", LOAD)
     if not any(one.inertia_known for one in motions):
-        return Finding(
-            name, "weak", f"{reason}, but the load's inertia is not known", "declare the load's mass and length"
-        )
+        return Finding(name, "weak", f"{reason}, but the load's inertia is not known", DECLARE)
     if top > 10:
         return Finding(name, "yes", reason)
     return Finding(name, "weak" if top > 3 else "no", reason, "fast goals, such as sin_time_square, with a light load")

@@ -69,7 +69,10 @@ def with_rig(recording: Recording, table: list[RigRow], source: Path) -> Recordi
     """
     mass, length = recording.rig.mass, recording.rig.length
     if mass is None or length is None:
-        raise LogError(f"{recording.name}: the log declares no mass and length to look up in {source}")
+        raise LogError(
+            f"{recording.name}: the log declares no mass and length to look up in {source}; "
+            "give --mass KG --length M, or [rig] in the map"
+        )
     rows = [row for row in table if abs(row.mass - mass) <= SAME and abs(row.length - length) <= SAME]
     if len(rows) != 1:
         what = "no row" if not rows else f"{len(rows)} rows"

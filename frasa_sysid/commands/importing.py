@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from frasa_sysid.calibration.command_line import add_json_flag, say
+from frasa_sysid.commands.import_facts import add_fact_arguments, declared_facts
 from frasa_sysid.commands.import_formats import (
     BESIDE,
     COMPANIONS,
@@ -23,6 +24,7 @@ from frasa_sysid.commands.import_formats import (
 )
 from frasa_sysid.errors import LogError, UsageError
 from frasa_sysid.readers.effort import EFFORT_UNITS, UNDECLARED, declare_effort, undeclared
+from frasa_sysid.readers.rig_facts import with_facts
 from frasa_sysid.readers.signal_map import SignalMap, builtin_maps, load_map
 from frasa_sysid.recording import Recording
 from frasa_sysid.rig_table import RigRow, read_rig_table, with_rig
@@ -53,6 +55,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument(
         "--servo", metavar="NAME_OR_TABLE", help="servo type, where the log does not say or says it wrong"
     )
+    add_fact_arguments(parser)
     parser.add_argument("--unit", choices=("rad", "deg"), help="unit of joint angles (default: rad, checked)")
     parser.add_argument(
         "--map",
@@ -78,6 +81,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     """
     if args.unit == "deg" and args.format in FIXED_UNITS:
         raise UsageError(f"--unit deg: {FIXED_UNITS[args.format]}, not degrees")
+    declared_facts(args)  # before anything is read
     mapping = _map(args)
     table = read_rig_table(args.rig_table) if args.rig_table else None
     sources, failed = _find_all(args.sources, args.format)
@@ -171,10 +175,15 @@ def _import(
     recordings = READERS[args.format](source, args.unit or ("rad" if declared else "auto"), mapping)
     if args.effort_unit:
         recordings = [declare_effort(recording, args.effort_unit) for recording in recordings]
+    facts, of_map = declared_facts(args), {} if mapping is None else dict(mapping.rig)
+    if args.servo:
+        of_map.pop("servo", None)  # the option goes before both, the map and the log
+    name = "" if mapping is None else f"map {mapping.name}"
+    recordings = [with_facts(recording, facts, of_map, name) for recording in recordings]
     if table is not None:
         recordings = [with_rig(recording, table, args.rig_table) for recording in recordings]
-    name = find_table(args.servo).servo.name if args.servo and is_table(args.servo) else args.servo
-    return [_finish(recording, source, name, mapping) for recording in recordings]
+    servo = find_table(args.servo).servo.name if args.servo and is_table(args.servo) else args.servo
+    return [_finish(recording, source, servo, mapping) for recording in recordings]
 
 
 def _finish(recording: Recording, source: Path, servo: str | None, mapping: SignalMap | None) -> Recording:

@@ -55,7 +55,7 @@ def clean(signals: Mapping[str, Signal], rig: RigFacts) -> tuple[dict[str, Signa
         *(_drop_averaged_reads(result) if turns else []),
         *(_unwrap_position(result) if turns else []),
         *_make_signed(result),
-        *_voltage_fault(result, rig),
+        *voltage_faults(result, rig),
         *timing_faults(result),
     ]
     return result, tuple(faults)
@@ -200,7 +200,8 @@ def _is_unsigned_word(y: FloatArray) -> bool:
     return whole and bool((y >= 0).all()) and bool((y < 2**16).all()) and bool((y >= 2**15).any())
 
 
-def _voltage_fault(signals: Mapping[str, Signal], rig: RigFacts) -> list[Fault]:
+def voltage_faults(signals: Mapping[str, Signal], rig: RigFacts) -> list[Fault]:
+    """A declared supply that is not the measured one; none where either is not known."""
     measured = signals.get("supply_voltage")
     if measured is None or not rig.supply_voltage:
         return []

@@ -15,11 +15,17 @@
     [joints]                        # names of the log -> names of the model
     LKnee = "left_knee"
 
+    [rig]                           # facts that the log does not hold: those of `RigFacts`, by their names there
+    servo = "mx106"
+    mass = 1.2                      # [kg]
+    length = 0.15                   # [m]
+    firmware_gain = 16              # P
+
 Maps that come with frasa stand in the folder `maps` and go by their file's name.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
@@ -27,13 +33,14 @@ from typing import Any, Literal
 from frasa_sysid.calibration.bounded_read import read_limited
 from frasa_sysid.calibration.plain_toml import parse_toml
 from frasa_sysid.errors import InputError
+from frasa_sysid.readers.rig_facts import rig_of
 from frasa_sysid.readers.signal_entry import Entry, check_keys, make_entry, number_of, text_of
 from frasa_sysid.readers.units import TIME_UNITS
 
 FOLDER = "maps"
 LARGEST = 2**16  # bytes; a map of all joints of a humanoid is a few kB
 TIME_KEYS = ("column", "field", "unit", "rate", "run")
-TOP_KEYS = ("description", "time", "signal", "joints")
+TOP_KEYS = ("description", "time", "signal", "joints", "rig")
 
 
 @dataclass(frozen=True)
@@ -65,6 +72,7 @@ class SignalMap:
         time: of samples.
         entries: in the order of the file.
         joints: name of a joint in the log -> its name in the model.
+        rig: facts of the rig, by their names in `RigFacts`.
     """
 
     name: str
@@ -72,6 +80,7 @@ class SignalMap:
     time: TimeSource | None
     entries: tuple[Entry, ...]
     joints: Mapping[str, str]
+    rig: Mapping[str, Any] = field(default_factory=dict)
 
     def of(self, kind: Literal["topic", "column"]) -> list[Entry]:
         """The entries for messages, or those for tables.
@@ -128,7 +137,8 @@ def parse_map(name: str, content: bytes, builtin: bool) -> SignalMap:
             f"{where}: expected entries '[[signal]]', found {'none' if rows is None else 'something else'}"
         )
     entries = tuple(make_entry(f"{where}: [[signal]] {i}", row) for i, row in enumerate(rows, 1))
-    return SignalMap(name, builtin, _time(where, table.get("time")), entries, _joints(where, table.get("joints", {})))
+    joints, rig = _joints(where, table.get("joints", {})), rig_of(where, table.get("rig", {}))
+    return SignalMap(name, builtin, _time(where, table.get("time")), entries, joints, rig)
 
 
 def _time(where: str, table: Any) -> TimeSource | None:  # noqa: ANN401 - whatever TOML holds
