@@ -27,7 +27,7 @@ from frasa_sysid.recording import Recording
 from frasa_sysid.servo import Servo
 
 FINE = 0.0005  # rad; noise of a position that shows no steps
-DECLARE = "declare the load's mass and length: --mass KG --length M of 'import', or of 'fit' where all logs have one load"
+DECLARE = "declare the load's mass and length: --mass KG --length M of 'import' (of 'fit' if all have the same)"
 
 
 def findings(motions: Sequence[Motion]) -> list[Finding]:
