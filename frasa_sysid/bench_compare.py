@@ -12,13 +12,14 @@ import numpy as np
 from frasa_sysid import bam_parameters, stored_fit
 from frasa_sysid.bench import Bench
 from frasa_sysid.bench_session import BenchSession
-from frasa_sysid.calibration import SERVO_FIELDS, load_model, number, read
+from frasa_sysid.calibration import SERVO_FIELDS, CalibrationError, calibration_id, load_model, number, read
 from frasa_sysid.calibration.friction import FIELDS as FRICTION_FIELDS
 from frasa_sysid.calibration.friction import Friction
 from frasa_sysid.calibration.servo_law import law
 from frasa_sysid.cost import Misfit, misfit
 from frasa_sysid.errors import ModelError, UsageError
 from frasa_sysid.fit import FitResult
+from frasa_sysid.made_from import fit_of, fits_behind
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.report_figures import Trace
 from frasa_sysid.rig import BenchRun
@@ -36,12 +37,14 @@ class BenchContender:
         values: what is simulated, at the bench's supply and firmware gain.
         file: where the numbers are from.
         zeros: of single rigs, beside that of all [rad].
+        note: what a model could not be given of its bench, and why; empty where nothing is missing.
     """
 
     name: str
     values: ServoValues
     file: str = ""
     zeros: Mapping[str, float] = field(default_factory=dict)
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -103,29 +106,52 @@ def of_result(name: str, result: FitResult) -> BenchContender:
     return BenchContender(name, result.problem.servo_values(result.values), "a fit", zeros)
 
 
-def of_model(name: str, path: Path, bench: Bench) -> BenchContender:
+def of_model(name: str, path: Path, bench: Bench, fits: Sequence[Path] = ()) -> BenchContender:
     """What a model of the robot does on the bench, with its friction law where it carries one.
 
-    Zero offsets and unpowered damping have no place in such a model; they stand in the fit beside it. Effects stay
-    off, as in the check of what was published.
+    Zero offsets and unpowered damping have no place in such a model; they are those of the fit that it was published
+    from, where that is at hand, else nominal. Effects stay off, as in the check of what was published.
+
+    Args:
+        name: for tables.
+        path: of the model.
+        bench: the logs.
+        fits: where its fit may be, beside the folder `fits` where it lies.
 
     Raises:
         ModelError: no model, or one that does not say at which supply and gain its numbers hold.
-        InputError: a broken fit beside it.
     """
     model = load_model(path)
     fields = {**bench.nominal, **{one: read(model, f"{bench.servo.name}.{one}") for one in SERVO_FIELDS}}
     zeros: Mapping[str, float] = {}
-    beside = path.parent / "fits" / f"{bench.servo.name}.json"
-    if beside.is_file():
-        fitted = of_fit(name, beside, bench)
+    lender, why = _lender(path, calibration_id(model), bench.servo.name, fits)
+    if lender is not None:
+        fitted = of_fit(name, lender, bench)
         fields |= {"offset": fitted.values.offset, "damping_off": fitted.values.damping_off}
         zeros = fitted.zeros
     friction = law(model, bench.servo.name)
+    kept = "zero of the encoder is" if friction else "zero of the encoder and damping with torque off are"
+    note = f"{path}: {kept} nominal, for {why}" if why else ""
     if friction is not None:
         fields |= _law_fields(friction)
     stated = number(model, "servo_supply_voltage"), number(model, "servo_firmware_gain")
-    return BenchContender(name, _restated(ServoValues(**fields), *stated, bench, path), _file(path), zeros)
+    return BenchContender(name, _restated(ServoValues(**fields), *stated, bench, path), _file(path), zeros, note)
+
+
+def _lender(path: Path, key: str | None, servo: str, fits: Sequence[Path]) -> tuple[Path | None, str]:
+    """The fit of a servo that a model was published from, or none, and why it is missing where it should be there."""
+    if key is None:
+        return None, ""
+    beside = path.parent / "fits"
+    try:
+        digest = fits_behind(path, key).get(servo)
+        if digest is None:  # published from fits of other servos
+            return None, ""
+        found = fit_of(digest, (*sorted(beside.glob("*.json")), *fits))
+        why = f"its fit {digest[:12]} is neither in {beside} nor given with --fit"
+    except CalibrationError as error:
+        found, why = None, str(error)
+    return found, "" if found else why
 
 
 def of_fit(name: str, path: Path, bench: Bench) -> BenchContender:

@@ -15,6 +15,7 @@ from frasa_sysid.calibration import (
     calibration_id,
     input_hashes,
     load_model,
+    say,
     tell_report,
 )
 from frasa_sysid.commands.bench import add_bench_arguments, bench_model, load_bench, people_console, read_logs
@@ -100,7 +101,11 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
 def _contenders(args: argparse.Namespace, bench: Bench) -> list[BenchContender]:
     found = [of_nominal(bench)]
-    for make, paths in ((of_model, args.with_model), (of_fit, args.fit), (of_bam, args.bam)):
+    for path in args.with_model:
+        found.append(of_model(_name(path, found), path, bench, args.fit))
+        if found[-1].note:
+            say(found[-1].note)
+    for make, paths in ((of_fit, args.fit), (of_bam, args.bam)):
         for path in paths:
             found.append(make(_name(path, found), path, bench))
     return found

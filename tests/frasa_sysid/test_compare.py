@@ -9,13 +9,15 @@ import pytest
 
 from frasa_sysid import stored_fit
 from frasa_sysid.bench_session import BenchSession
-from frasa_sysid.calibration import run_command
+from frasa_sysid.calibration import SERVO_FIELDS, run_command
+from frasa_sysid.calibration.friction import FIELDS
 from frasa_sysid.cli import build_parser
 from frasa_sysid.commands import compare
 from frasa_sysid.cost import misfit
 from frasa_sysid.fit import fit
 from frasa_sysid.fit_record import Extras, save, to_json
 from frasa_sysid.problem import state_problem, stated_servo
+from frasa_sysid.publish import publish, write
 from frasa_sysid.readers import read_log
 from frasa_sysid.rig import runs_of
 from frasa_sysid.servo_values import ServoValues
@@ -83,7 +85,7 @@ def test_a_fit_stated_elsewhere_is_the_same_servo(place, capsys, tmp_path):
 
 
 def test_a_model_with_a_friction_law(place, capsys):
-    """The law in a model's custom numbers is simulated; zeros come from the fit beside it, effects do not."""
+    """The law in a model's custom numbers is simulated; one that was not published from a fit is lent nothing of it."""
     folder, result, session, runs = place
     values = result.problem.servo_values(result.values)
     law = values.friction()
@@ -93,20 +95,67 @@ def test_a_model_with_a_friction_law(place, capsys):
     (folder / "law.xml").write_text(text.replace("</mujoco>", custom))
     _, nominal = stated_servo("mx106", folder / "nominal.xml")
     shared = {name: value for name, value in asdict(law).items() if name not in ("viscous", "coulomb")}
-    expected = replace(
-        ServoValues(**nominal),
-        **shared,
-        damping_off=law.viscous,
-        frictionloss=law.coulomb,
-        offset=values.offset,
-    )
+    expected = replace(ServoValues(**nominal), **shared, damping_off=law.viscous, frictionloss=law.coulomb)
     kernel = session.kernel(runs)
-    zeros = result.problem.offsets(result.problem.to_unit(result.values)[None], runs)
-    errors = misfit(runs, kernel.split(kernel.readings(expected.array()[None], zeros)[0]))
+    errors = misfit(runs, kernel.split(kernel.readings(expected.array()[None], None)[0]))
     words = ("--model", folder / "nominal.xml", "--with-model", folder / "law.xml")
     found = compared(capsys, folder / "log.mcap", *words)
     assert found["misfit"]["by_log"] == pytest.approx(errors.by_run, abs=1e-12)
     assert found["misfit"]["mae_rad"] != pytest.approx(found["candidates"]["nominal"]["mae_rad"])
+
+
+def test_a_nominal_model_is_nominal(place, capsys):
+    """A fit that lies beside a model lends it nothing."""
+    folder = place[0]
+    words = ("--model", folder / "nominal.xml", "--with-model", folder / "nominal.xml")
+    found = compared(capsys, folder / "log.mcap", *words)["candidates"]
+    assert found["nominal"] == found["nominal.xml"]
+
+
+def test_a_published_model_has_the_zeros_of_its_own_fit(place, capsys, tmp_path):
+    """They come from the fit it was published from, beside it or named, and from no other; a line says what lacks."""
+    folder, result, session, runs = place
+    fit_file, nominal, model = folder / "fits" / "mx106.json", folder / "nominal.xml", tmp_path / "own" / "cal.xml"
+    write(publish([stored_fit.load(fit_file)], nominal, model), nominal, model)
+    values = result.problem.servo_values(result.values)
+    # Effects stay off; their neutral values are those of a servo without.
+    plain = ServoValues(**stated_servo("mx106", nominal)[1])
+    known = {one: getattr(values, one) for one in (*SERVO_FIELDS, *FIELDS, "damping_off") if hasattr(values, one)}
+    bare = replace(plain, **known)
+    zeros = result.problem.offsets(result.problem.to_unit(result.values)[None], runs)
+    kernel = session.kernel(runs)
+
+    def by_run(servo, zeros):
+        return misfit(runs, kernel.split(kernel.readings(servo.array()[None], zeros)[0])).by_run
+
+    without, full = by_run(bare, None), by_run(replace(bare, offset=values.offset), zeros)
+    assert np.abs(np.subtract(list(without.values()), list(full.values()))).max() > 1e-4
+
+    def row(*more):
+        parser = argparse.ArgumentParser(prog="frasa-sysid")
+        compare.add_parser(parser.add_subparsers(required=True))
+        words = [folder / "log.mcap", "--model", nominal, "--with-model", model, *more, "--no-report", "--json"]
+        assert run_command(parser, ["compare", *map(str, words)]) == 0
+        out, err = capsys.readouterr()
+        return json.loads(out)["candidates"]["cal.xml"]["by_log"], err
+
+    named, err = row("--fit", fit_file)
+    assert named == pytest.approx(full, abs=1e-9)
+    assert "nominal, for" not in err
+    shutil.copytree(folder / "fits", model.parent / "fits")
+    assert row()[0] == named
+    other = model.parent / "fits" / "mx106.json"
+    other.write_text(other.read_text() + "\n")  # a fit of the same servo, but not the one it was published from
+    found, err = row()
+    assert found == pytest.approx(without, abs=1e-9)
+    assert err.splitlines()[0] == (
+        f"{model}: zero of the encoder is nominal, for its fit {stored_fit.load(fit_file).sha256[:12]} is neither in "
+        f"{model.parent / 'fits'} nor given with --fit"
+    )
+    model.with_name("randomization.yaml").unlink()
+    found, err = row("--fit", fit_file)
+    assert found == pytest.approx(without, abs=1e-9)
+    assert f"{model}: zero of the encoder is nominal, for there is no " in err
 
 
 def test_the_page_of_a_comparison(place, capsys, tmp_path, page_text):
