@@ -6,8 +6,9 @@ from pathlib import Path
 
 from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.hold_out import split
+from frasa_sysid.logged_servo import servo_name
 from frasa_sysid.pieces import segments
-from frasa_sysid.problem import FitProblem, servo_name, state_problem, stated_servo
+from frasa_sysid.problem import FitProblem, state_problem, stated_servo
 from frasa_sysid.recording import Recording, Signal
 from frasa_sysid.rig import BenchRun, runs_of
 from frasa_sysid.servo import Servo, find_table, is_table
@@ -103,12 +104,14 @@ def bench_of(
 
     Raises:
         LogError: no servo named, or several.
-        UsageError: a servo nobody knows, or a bad hold-out rule.
+        UsageError: a servo nobody knows, or another name than that in the logs; or a bad hold-out rule.
         InputError: a table that cannot be used.
         ModelError: the model is broken or calibrated already.
     """
-    table = find_table(servo).servo if servo and is_table(servo) else None
-    known, nominal = stated_servo(servo_name(recordings, servo if table is None else table.name), model, table)
+    given = find_table(servo, model).servo if servo else None
+    own = given is not None and is_table(str(servo))
+    name = servo_name(recordings, given.name if given else None, own)
+    known, nominal = stated_servo(name, model, given if own else None)
     train, held_out = split(recordings, hold_out)
     return Bench(known, nominal, train, held_out, hold_out, model)
 

@@ -10,9 +10,9 @@ from frasa_sysid.calibration import calibration_id, load_model, number, read, se
 from frasa_sysid.calibration.friction import FIELDS as FRICTION_FIELDS
 from frasa_sysid.calibration.friction import check_law
 from frasa_sysid.effects import AUTOMATIC, EFFECTS, law_numbers
-from frasa_sysid.errors import LogError, ModelError, UsageError
+from frasa_sysid.errors import ModelError, UsageError
 from frasa_sysid.free_parameter import SPAN, UNIT, FreeParameter, free_number, rig_offsets
-from frasa_sysid.recording import FloatArray, Recording
+from frasa_sysid.recording import FloatArray
 from frasa_sysid.rig import BenchRun
 from frasa_sysid.servo import Servo, find_table
 from frasa_sysid.servo_values import COLUMN, ServoValues
@@ -239,16 +239,3 @@ def _goal_speed(run: BenchRun) -> float:
     window = max(round(0.05 / step), 1)
     moved = np.abs(run.command[window:] - run.command[:-window])
     return float(moved.max(initial=0.0) / (window * step))
-
-
-def servo_name(recordings: Sequence[Recording], given: str | None) -> str:
-    """The servo all recordings are of.
-
-    Raises:
-        LogError: nobody says, or they differ.
-    """
-    names = {one.rig.servo for one in recordings if one.rig.servo} if given is None else {given}
-    if len(names) != 1:
-        found = ", ".join(sorted(names)) or "none"
-        raise LogError(f"the logs must be of one servo type, found: {found}; give --servo NAME_OR_TABLE")
-    return names.pop()

@@ -7,7 +7,7 @@ from frasa_sysid.recording import FloatArray, Recording, Signal
 
 _SUPPLY_SMOOTHING = 0.1  # [s] readings of a sagging supply alias with the PWM; their mean does not
 _REST = 0.2  # share of a run, that of the smallest errors, in which the supply counts as unloaded
-_AGREES = 0.02  # relative difference within which a declared supply is believed
+AGREES = 0.02  # relative difference within which a declared supply is believed
 _SUPPLY_RATE = 5.0  # [Hz] below it a measured supply says nothing about sag within a run
 
 
@@ -43,7 +43,7 @@ def rest_of(recording: Recording, drive: Signal, position: Signal) -> float:
     error = np.abs(goal - np.interp(measured.t, position.t, position.y))
     rest = float(np.mean(measured.y[error <= np.quantile(error, _REST)]))
     # A declared supply that agrees is the better number: a servo measures in steps of 0.1 V.
-    return declared if declared and abs(declared - rest) < _AGREES * rest else rest
+    return declared if declared and abs(declared - rest) < AGREES * rest else rest
 
 
 def supply_course(recording: Recording, start: float, steps: int, timestep: float) -> FloatArray:

@@ -2,20 +2,22 @@
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
 from frasa_sysid.bench import BENCH_MODEL, NOMINAL_MODEL, Bench, bench_of
+from frasa_sysid.calibration import say
 from frasa_sysid.commands.faults import show_faults
+from frasa_sysid.commands.given_facts import OF_ANY, with_facts
+from frasa_sysid.commands.import_facts import NUMBERS
+from frasa_sysid.commands.log_kinds import KindGroup
 from frasa_sysid.commands.reading import add_reading_arguments, read_within
 from frasa_sysid.errors import LogError, UsageError
+from frasa_sysid.logged_servo import stands_in
 from frasa_sysid.recording import Recording
 
-SERVO_HELP = "servo type where the logs do not say, or a table of your own (.toml): see frasa-sysid servos"
-_FACTS = {"mass": "kg", "length": "m", "arm_mass": "kg", "firmware_gain": "P", "supply_voltage": "V"}
+SERVO_HELP = "servo type where the logs do not say, or a table of your own (.toml) for it: see frasa-sysid servos"
 
 
 def people_console() -> Console:
@@ -24,18 +26,33 @@ def people_console() -> Console:
     return console if console.is_terminal else Console(stderr=True, highlight=False, width=120)
 
 
-def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
-    """Logs, servo, and facts of the rig that the logs do not carry."""
+def add_bench_arguments(parser: argparse.ArgumentParser) -> KindGroup:
+    """Logs, servo, and facts of the rig that the logs do not carry.
+
+    Returns:
+        The options that are for a bench only, for more of them.
+    """
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="MCAP files, or folders of them")
-    parser.add_argument("--servo", metavar="NAME_OR_TABLE", help=SERVO_HELP)
     parser.add_argument("--model", type=Path, default=NOMINAL_MODEL, help="nominal robot model [%(default)s]")
-    parser.add_argument("--bench-model", type=Path, help="pendulum model [bench_pendulum.xml beside --model]")
     parser.add_argument("--clock", choices=("auto", "header", "publish", "log"), default="auto", help="which stamps")
     add_reading_arguments(parser)
     parser.add_argument("--threads", type=int, help="simulation threads [one per core]")
-    for name, unit in _FACTS.items():
+    bench = KindGroup(parser, "bench")
+    bench.add("--servo", metavar="NAME_OR_TABLE", help=SERVO_HELP, instead="has the servos of its --model")
+    bench.add(
+        "--bench-model",
+        type=Path,
+        help="pendulum model [bench_pendulum.xml beside --model]",
+        instead="is simulated by --model",
+    )
+    for name, unit in NUMBERS.items():
+        option = f"--{name.replace('_', '-')}"
         help_text = f"[{unit}] for logs that do not carry it"
-        parser.add_argument(f"--{name.replace('_', '-')}", type=float, metavar=unit.upper(), help=help_text)
+        if name in OF_ANY:
+            parser.add_argument(option, type=float, metavar=unit.upper(), help=help_text)
+        else:
+            bench.add(option, type=float, metavar=unit.upper(), help=help_text, instead="has the bodies of its --model")
+    return bench
 
 
 def read_logs(args: argparse.Namespace) -> list[Recording]:
@@ -43,12 +60,12 @@ def read_logs(args: argparse.Namespace) -> list[Recording]:
 
     Raises:
         LogError: an unreadable log, or two of one name.
-        UsageError: no log in a folder, or no threads.
+        UsageError: no log in a folder, no threads, or facts that contradict the logs.
     """
     if args.threads is not None and args.threads < 1:
         raise UsageError(f"--threads {args.threads}: expected 1 or more")
-    facts = {name: getattr(args, name) for name in _FACTS if getattr(args, name) is not None}
-    recordings = [_completed(recording, facts) for recording in read_within(_files(args.logs), args)]
+    facts = {name: getattr(args, name) for name in NUMBERS if getattr(args, name) is not None}
+    recordings = with_facts(read_within(_files(args.logs), args), facts)
     _check_names(recordings)
     if any(recording.faults for recording in recordings):
         show_faults(people_console(), recordings)
@@ -69,7 +86,11 @@ def load_bench(
         LogError: an unreadable log, one that lacks a signal or fact, or two of one name.
         UsageError: no log in a folder, no threads, or a bad hold-out rule.
     """
-    return bench_of(read_logs(args) if recordings is None else recordings, args.model, hold_out, args.servo)
+    logs = read_logs(args) if recordings is None else recordings
+    bench = bench_of(logs, args.model, hold_out, args.servo)
+    if told := stands_in(logs, bench.servo.name, args.servo):
+        say(told)
+    return bench
 
 
 def bench_model(args: argparse.Namespace) -> Path:
@@ -94,9 +115,3 @@ def _check_names(recordings: Sequence[Recording]) -> None:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise LogError(f"{len(twice)} recordings come twice, such as {twice[0]}: give each log once, by its own name")
-
-
-def _completed(recording: Recording, facts: dict[str, Any]) -> Recording:
-    """Facts from the command line fill gaps; what the log says itself has precedence."""
-    missing = {name: value for name, value in facts.items() if getattr(recording.rig, name) is None}
-    return replace(recording, rig=replace(recording.rig, **missing)) if missing else recording

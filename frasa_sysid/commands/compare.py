@@ -21,6 +21,7 @@ from frasa_sysid.calibration import (
 from frasa_sysid.commands.bench import add_bench_arguments, bench_model, load_bench, people_console, read_logs
 from frasa_sysid.commands.compare_robot import REPORT, SCHEMA, compare_robot_logs, write_overlay
 from frasa_sysid.commands.fit_robot import add_base_argument, add_share_argument
+from frasa_sysid.commands.log_kinds import KindGroup, refuse_other_kind
 from frasa_sysid.cost import Misfit
 from frasa_sysid.overlay import bench_overlay
 from frasa_sysid.report_compare import ComparisonPage, write_comparison
@@ -35,17 +36,27 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         description="Simulate logs of a bench or of the whole robot with the nominal model and with any fits and "
         "models, and print the errors.",
     )
-    add_bench_arguments(parser)
+    bench = add_bench_arguments(parser)
     parser.add_argument("--fit", type=Path, action="append", default=[], help="a fit file; may be repeated")
     parser.add_argument(
         "--with-model", type=Path, action="append", default=[], metavar="M", help="a calibrated model; may be repeated"
     )
-    parser.add_argument(
-        "--bam", type=Path, action="append", default=[], metavar="JSON", help="a BAM parameter file; may be repeated"
+    bench.add(
+        "--bam",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="JSON",
+        help="a BAM parameter file; may be repeated",
+        instead="takes models and fits (--with-model M, --fit FIT)",
     )
-    group = parser.add_argument_group("logs of the whole robot")
-    add_base_argument(group)
-    add_share_argument(group, "compare the end of each log only, which a fit with the same share never saw")
+    robot = KindGroup(parser, "robot")
+    add_base_argument(robot)
+    add_share_argument(
+        robot,
+        "compare the end of each log only, which a fit with the same share never saw",
+        "is compared on all of each log (--between FROM TO takes a part)",
+    )
     add_report_arguments(parser, REPORT)
     parser.add_argument(
         "--mcap",
@@ -68,6 +79,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         args.with_model = [args.model, *args.with_model]
         args.model = args.model.with_name("nominal.xml")
     recordings = read_logs(args)
+    refuse_other_kind(args, recordings)
     if any(is_robot(one) for one in recordings):
         return compare_robot_logs(args, recordings)
     bench = load_bench(args, recordings=recordings)

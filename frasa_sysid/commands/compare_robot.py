@@ -83,8 +83,6 @@ def _check(args: argparse.Namespace, recordings: Sequence[Recording]) -> None:
         raise LogError(f"{single[0]} is of one joint and the others are of a whole robot; compare them apart")
     if not 0.0 <= args.hold_out_share <= 0.9:
         raise UsageError(f"--hold-out-share {args.hold_out_share:g}: expected 0 to 0.9")
-    if args.bam:
-        raise UsageError(f"--bam {args.bam[0]}: the parameters of one servo; for logs of a robot give models and fits")
 
 
 def _contenders(args: argparse.Namespace, folder: Path) -> list[Contender]:

@@ -16,12 +16,14 @@ from frasa_sysid.calibration.friction import LAWS
 from frasa_sysid.choice import Choice, choose
 from frasa_sysid.claims import settle
 from frasa_sysid.commands.bench import add_bench_arguments, bench_model, load_bench, people_console, read_logs
+from frasa_sysid.commands.fit_options import add_bench_options
 from frasa_sysid.commands.fit_robot import add_robot_arguments, fit_robot_logs
 from frasa_sysid.commands.fit_show import show
+from frasa_sysid.commands.log_kinds import refuse_other_kind
 from frasa_sysid.commands.publish import add_as_flag, load_fits, publish_files
 from frasa_sysid.effects import EFFECTS
 from frasa_sysid.errors import CalibrationError, InterruptedRunError, UsageError
-from frasa_sysid.fit import RESTARTS, FitResult, fit
+from frasa_sysid.fit import FitResult, fit
 from frasa_sysid.fit_json import read_json
 from frasa_sysid.fit_record import Extras, log_facts, save, to_json
 from frasa_sysid.identifiability import bench_findings, next_logs
@@ -45,32 +47,7 @@ def add_parser(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]"
         description="Fit damping, friction loss, armature, gain, force limit, delay and zero offset of a servo to "
         "bench logs with CMA-ES and a least-squares finisher.",
     )
-    add_bench_arguments(parser)
-    parser.add_argument(
-        "--friction", choices=(*LAWS, "auto"), default="m1", help="friction law, or the one held-out runs speak for"
-    )
-    parser.add_argument(
-        "--effects",
-        default=None,
-        metavar="LIST",
-        help=f"none, auto, or of {', '.join(EFFECTS)} [auto with --friction auto, else none]",
-    )
-    parser.add_argument(
-        "--hold-out",
-        default="none",
-        metavar="RULE",
-        help="none; kp=24, mass=0.969, length=0.1, trajectory=NAME; or kp, rig, trajectory for the last of each",
-    )
-    parser.add_argument("--optimizer", choices=("cmaes+lsq", "cmaes"), default="cmaes+lsq", help="[%(default)s]")
-    parser.add_argument("--restarts", type=int, default=RESTARTS, help="searches that must agree [%(default)s]")
-    parser.add_argument("--bootstrap", type=int, default=0, metavar="N", help="resampled logs to fit anew [0]")
-    parser.add_argument("--first", type=float, metavar="S", help="use the first S seconds of each run")
-    parser.add_argument("--shooting", type=float, metavar="S", help="cut runs into pieces of S s (diverging logs)")
-    parser.add_argument("--timestep", type=float, metavar="S", help="physics step [that of the bench model]")
-    parser.add_argument("--duty-age", type=float, metavar="S", help="age of a logged duty at its stamp, where known")
-    parser.add_argument("--jobs", type=int, default=1, help="processes for folds and bootstraps [%(default)s]")
-    parser.add_argument("--cluster", metavar="ADDRESS", help="Dask scheduler to do them, such as tcp://host:8786")
-    parser.add_argument("--evaluations", type=int, metavar="N", help="search budget [60 per parameter]")
+    add_bench_options(add_bench_arguments(parser))
     parser.add_argument("--seed", type=int, default=0, help="of the search [%(default)s]")
     parser.add_argument("--out", type=Path, metavar="FIT", help="fit file [fits/SERVO.json beside --model]")
     parser.add_argument("--publish", action="store_true", help="write calibrated.xml and randomization.yaml")
@@ -91,6 +68,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     """
     effects = _checked(args)
     recordings = read_logs(args)
+    refuse_other_kind(args, recordings)
     if any(is_robot(one) for one in recordings):
         return fit_robot_logs(args, recordings)
     bench = load_bench(args, args.hold_out, recordings)

@@ -24,6 +24,7 @@ from frasa_sysid.calibration import (
 from frasa_sysid.commands.bench import people_console
 from frasa_sysid.commands.fit_robot_record import record_of
 from frasa_sysid.commands.fit_robot_show import show_robot
+from frasa_sysid.commands.log_kinds import KindGroup
 from frasa_sysid.commands.publish import publish_files
 from frasa_sysid.commands.reading import share_of_memory
 from frasa_sysid.errors import InputError, InterruptedRunError, LogError, UsageError
@@ -54,26 +55,46 @@ CHOOSE = "--between FROM TO chooses another, --memory GB makes room for more"
 
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
     """What only logs of the whole robot need."""
-    group = parser.add_argument_group("logs of the whole robot")
-    add_base_argument(group)
-    group.add_argument(
-        "--free", metavar="LIST", help=f"of {', '.join(GROUPS)} [{','.join(DEFAULT_GROUPS)}; trunk on the ground]"
+    robot = KindGroup(parser, "robot")
+    add_base_argument(robot)
+    robot.add(
+        "--free",
+        metavar="LIST",
+        help=f"of {', '.join(GROUPS)} [{','.join(DEFAULT_GROUPS)}; trunk on the ground]",
+        instead="takes --effects LIST and --friction LAW",
     )
-    group.add_argument("--position-delay", type=float, default=0.0, metavar="S", help="age of a joint position [0]")
-    group.add_argument(
-        "--frozen", type=Path, action="append", metavar="FIT", help="bench fit that applies [those beside --model]"
+    robot.add(
+        "--position-delay",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="age of a joint position [0]",
+        instead="takes --duty-age S",
     )
-    add_share_argument(group, "end of each log to compare only")
+    robot.add(
+        "--frozen",
+        type=Path,
+        action="append",
+        metavar="FIT",
+        help="bench fit that applies [those beside --model]",
+        instead="stands on no other fit",
+    )
+    add_share_argument(robot, "end of each log to compare only", "takes --hold-out RULE")
 
 
-def add_base_argument(group: "argparse._ArgumentGroup") -> None:
+def add_base_argument(robot: KindGroup) -> None:
     """How the robot was held, where the log does not say."""
-    group.add_argument("--base", choices=("fixed", "floating"), help="trunk held, or robot on the ground [as logged]")
+    robot.add(
+        "--base",
+        choices=("fixed", "floating"),
+        help="trunk held, or robot on the ground [as logged]",
+        instead="has no trunk",
+    )
 
 
-def add_share_argument(group: "argparse._ArgumentGroup", meaning: str) -> None:
-    """How much of the end of each log is held out."""
-    group.add_argument("--hold-out-share", type=float, default=0.0, metavar="S", help=meaning)
+def add_share_argument(robot: KindGroup, meaning: str, instead: str) -> None:
+    """How much of the end of each log is held out, and what a bench does in its place."""
+    robot.add("--hold-out-share", type=float, default=0.0, metavar="S", help=meaning, instead=instead)
 
 
 def fit_robot_logs(args: argparse.Namespace, recordings: Sequence[Recording]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from frasa_sysid.bench import inputs_of
-from frasa_sysid.calibration.command_line import add_json_flag
+from frasa_sysid.calibration.command_line import add_json_flag, say
 from frasa_sysid.commands.bench import SERVO_HELP
 from frasa_sysid.commands.faults import show_faults
 from frasa_sysid.commands.log_health import all_checks, clock_report, show_checks, show_clocks, show_whole_logs
@@ -21,11 +21,12 @@ from frasa_sysid.finding import Finding
 from frasa_sysid.fit_json import ROBOT
 from frasa_sysid.identifiability import bench_findings, next_logs
 from frasa_sysid.inspection import SignalSummary, is_bench, summarise
+from frasa_sysid.logged_servo import servo_name, stands_in
 from frasa_sysid.readers.effort import UNDECLARED, undeclared
 from frasa_sysid.recording import Recording, Signal
 from frasa_sysid.robot_findings import robot_findings
 from frasa_sysid.robot_rig import is_robot
-from frasa_sysid.servo import Servo, find_table
+from frasa_sysid.servo import Servo, find_table, is_table
 
 SCHEMA = "frasa.inspect/1"
 FEW = 2  # recordings that are shown one by one
@@ -56,11 +57,14 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     Raises:
         LogError: a log that cannot be read.
-        InputError, UsageError: an unknown servo, or a table that cannot be used.
+        InputError, UsageError: an unknown servo, one that contradicts the logs, or a table that cannot be used.
     """
     recordings = read_within(args.logs, args)
     servo = find_table(args.servo).servo if args.servo else None
     if servo is not None:
+        servo_name(recordings, servo.name, is_table(args.servo))
+        if told := stands_in(recordings, servo.name, args.servo):
+            say(told)
         recordings = [replace(one, rig=replace(one.rig, servo=servo.name)) for one in recordings]
     found = _by_servo(recordings, servo)
     console = Console(stderr=True, highlight=False)

@@ -216,7 +216,7 @@ BAD_LOGS = {
     "without firmware gain": (lambda few: with_rig(few, firmware_gain=None), "--firmware-gain"),
     "without a load": (lambda few: with_rig(few, mass=None), "--mass"),
     "without a servo": (lambda few: with_rig(few, servo=None), "--servo"),
-    "of two servos": (lambda few: [few[0], *with_rig(few[1:], servo="mx106")], "--servo"),
+    "of two servos": (lambda few: [few[0], *with_rig(few[1:], servo="mx106")], "several servos, mx106, mx64"),
 }
 
 
@@ -262,7 +262,7 @@ def test_a_file_that_is_no_log(place, capsys, content):
         (["--seed", 2**32], 2, "--seed"),
         (["--threads", -1], 2, "--threads"),
         (["--evaluations", 0], 2, "--evaluations"),
-        (["--publish", "--servo", "xl330"], 2, "no servo class"),
+        (["--servo", "mx106"], 2, "the logs say mx64, --servo says mx106"),
         (["--publish", "--out", "elsewhere.json"], 2, "elsewhere"),
         (["--model", "typo.xml"], 3, "no model at"),
         (["--bench-model", "typo.xml"], 3, "no model at"),
@@ -291,6 +291,13 @@ def test_a_bad_word_is_one_line(place, capsys, monkeypatch, words, status, compl
     assert complaint in err[-1]
     assert len(err) == 1 or status == 1
     assert not any("Traceback" in line for line in err)
+
+
+def test_a_servo_that_the_model_lacks(place, few, capsys):
+    """Its fit has no place in the model: said before the fit."""
+    write_mcap(place / "other.mcap", with_rig(few, servo=None))
+    assert frasa(*fit_words(place, "--publish", "--servo", "xl330", log="other.mcap")) == 2
+    assert "no servo class 'xl330'" in capsys.readouterr().err
 
 
 def test_the_same_log_twice(place, capsys):

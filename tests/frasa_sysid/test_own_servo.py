@@ -119,6 +119,23 @@ def test_inspect_counts_saturation_by_the_table(place, capsys):
     assert frasa("inspect", folder / "rocket9.mcap", "--servo", "rocket10") == 2
 
 
+def test_a_table_stands_for_the_servo_that_logs_name(place, capsys, tmp_path):
+    """That is said, in one line, by all that look at logs; a name that contradicts them is refused."""
+    folder, _ = place
+    table = tmp_path / "mine.toml"
+    table.write_text((folder / "guess.toml").read_text().replace('name = "rocket9"', 'name = "mine"'))
+    log, few = folder / "rocket9.mcap", ("--model", folder / "bench" / "nominal.xml", "--threads", 1, "--no-report")
+    short = (*few, "--evaluations", 1, "--restarts", 1, "--out", tmp_path / "fit.json")
+    for words in (("inspect", log), ("compare", log, *few), ("fit", log, *short)):
+        assert frasa(*words, "--servo", table) == 0
+        line = f"the logs say rocket9; the numbers are those of mine, from {table}"
+        assert capsys.readouterr().err.count(line) == 1
+        assert frasa(*words, "--servo", "mx64") == 2
+        assert "the logs say rocket9, --servo says mx64" in capsys.readouterr().err
+        assert frasa(*words, "--servo", folder / "guess.toml") == 0
+        assert "the logs say" not in capsys.readouterr().err
+
+
 def test_bounds_of_the_table_hold_in_the_fit(place, capsys):
     """A number that the truth lies outside of ends on its bound, and is not called identified."""
     folder, _ = place

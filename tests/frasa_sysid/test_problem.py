@@ -6,7 +6,8 @@ import pytest
 
 from frasa_sysid.errors import LogError, ModelError, UsageError
 from frasa_sysid.hold_out import split
-from frasa_sysid.problem import servo_name, stated_servo
+from frasa_sysid.logged_servo import servo_name, stands_in
+from frasa_sysid.problem import stated_servo
 from frasa_sysid.recording import Recording, RigFacts, Signal
 from frasa_sysid.servo import servo
 from frasa_sysid.servo_values import ServoValues
@@ -69,14 +70,24 @@ def test_a_rule_that_holds_out_everything():
 
 
 def test_logs_are_of_one_servo():
-    """The servo is what all logs say, or what the command line says; two or none are an error."""
+    """The servo is what the logs say; the command line fills a gap, and only a table stands for what they name."""
     logs = recordings()
     assert servo_name(logs, None) == "mx106"
-    assert servo_name(logs, "mx64") == "mx64"
+    assert servo_name(logs, "mx106") == "mx106"
+    silent = [replace(one, rig=RigFacts()) for one in logs]
+    assert servo_name(silent, "mx64") == "mx64"
+    with pytest.raises(LogError, match="--servo"):
+        servo_name(silent, None)
+    for some in (logs, [*logs[:1], *silent[1:]]):
+        with pytest.raises(UsageError, match="the logs say mx106, --servo says mx64"):
+            servo_name(some, "mx64")
+    assert servo_name(logs, "mine", own_table=True) == "mine"
+    assert stands_in(logs, "mine", "mine.toml") == "the logs say mx106; the numbers are those of mine, from mine.toml"
+    assert stands_in(logs, "mx106", "mx106.toml") == stands_in(silent, "mine", "mine.toml") == ""
     other = replace(logs[0], rig=replace(logs[0].rig, servo="mx64"))
-    for bad in ([*logs, other], [replace(one, rig=RigFacts()) for one in logs]):
-        with pytest.raises(LogError, match="--servo"):
-            servo_name(bad, None)
+    for given, table in ((None, False), ("mx64", False), ("mine", True)):
+        with pytest.raises(LogError, match="several servos, mx106, mx64"):
+            servo_name([*logs, other], given, table)
 
 
 def test_nominal_values_come_from_the_model(robot_model_dir):

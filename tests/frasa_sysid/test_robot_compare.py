@@ -225,7 +225,7 @@ def test_the_page_of_a_comparison(place, capsys, page_text):
         ("base", (), 2, "give --base fixed or floating"),
         ("short", ("--hold-out-share", "0.1"), 3, "too short for a share"),
         ("", ("--hold-out-share", "0.95"), 2, "expected 0 to 0.9"),
-        ("", ("--bam", "x.json"), 2, "--bam x.json"),
+        ("", ("--bam", "x.json"), 2, "--bam is for logs of a bench; a whole robot takes models and fits"),
         ("", ("--fit", "fits/moved.json"), 3, "stood on the bench fit"),
         ("", ("--fit", "fits/stranger.json"), 3, "made with another model"),
     ],
