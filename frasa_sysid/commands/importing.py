@@ -26,6 +26,7 @@ from frasa_sysid.errors import LogError, UsageError
 from frasa_sysid.readers.effort import EFFORT_UNITS, UNDECLARED, declare_effort, undeclared
 from frasa_sysid.readers.rig_facts import with_facts
 from frasa_sysid.readers.signal_map import SignalMap, builtin_maps, load_map
+from frasa_sysid.readers.sources import ANGLE_UNIT
 from frasa_sysid.recording import Recording
 from frasa_sysid.rig_table import RigRow, read_rig_table, with_rig
 from frasa_sysid.servo import find_table, is_table
@@ -91,7 +92,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     for source, out in zip(sources, outputs, strict=True):
         try:
             recordings = _import(source, args, table, mapping)
-            made = {"command": "import", "inputs": {one.source: one.sha256 for one in recordings}}
+            made = {"command": "import", "inputs": {one.source: one.sha256 for one in recordings}, **_said(args)}
             write_mcap(out, recordings, {**_originals(source, args.format), **_map_file(mapping)}, made=made)
         except (LogError, PermissionError) as error:
             say(f"not imported: {error}")
@@ -123,6 +124,13 @@ def _map(args: argparse.Namespace) -> SignalMap | None:
     if args.unit is not None and not mapping.builtin:
         raise UsageError(f"--unit {args.unit}: the map {mapping.name} declares the units already")
     return mapping
+
+
+def _said(args: argparse.Namespace) -> dict[str, Any]:
+    """What the command line declared about the sources, for the record of how a file was made."""
+    said = {**declared_facts(args), "servo": args.servo, "unit": args.unit, "effort_unit": args.effort_unit}
+    given = {name: value for name, value in said.items() if value is not None}
+    return {"declared": given} if given else {}
 
 
 def _map_file(mapping: SignalMap | None) -> dict[str, bytes]:
@@ -183,14 +191,19 @@ def _import(
     if table is not None:
         recordings = [with_rig(recording, table, args.rig_table) for recording in recordings]
     servo = find_table(args.servo).servo.name if args.servo and is_table(args.servo) else args.servo
-    return [_finish(recording, source, servo, mapping) for recording in recordings]
+    unit = args.unit or ("map" if declared else "format" if args.format in FIXED_UNITS else None)
+    return [_finish(recording, source, servo, mapping, unit) for recording in recordings]
 
 
-def _finish(recording: Recording, source: Path, servo: str | None, mapping: SignalMap | None) -> Recording:
+def _finish(
+    recording: Recording, source: Path, servo: str | None, mapping: SignalMap | None, unit: str | None
+) -> Recording:
     rig = replace(recording.rig, servo=servo.lower()) if servo else recording.rig
     origin = {"imported_from": source.name, "imported_sha256": recording.sha256}
     if mapping is not None:
         origin["map"] = Path(mapping.name).name
+    if unit is not None:
+        origin[ANGLE_UNIT] = unit
     return replace(recording, rig=rig, extra={**recording.extra, **origin})
 
 

@@ -73,7 +73,7 @@ def read_bam(path: Path, unit: Unit = "auto") -> list[Recording]:
     if "position" not in signals:
         raise LogError(f"{path}: its entries hold no position")
     if unit == "auto":
-        known_faults.check_radians(signals, rig, str(path))
+        known_faults.check_radians(signals, rig, str(path), "bam")
     signals, handled = known_faults.clean(signals, rig)
     signals.update(_duty(signals, rig))
     return [

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from frasa_sysid.errors import LogError
 from frasa_sysid.readers.fields import ReadingError
 from frasa_sysid.readers.parts import Part, assemble
+from frasa_sysid.readers.sampling import BoolArray
 from frasa_sysid.readers.signal_entry import Entry, ordered
 from frasa_sysid.readers.signal_map import SignalMap, TimeSource
 from frasa_sysid.readers.stamps import nanoseconds
@@ -26,10 +27,17 @@ Values = npt.NDArray[Any]
 
 @dataclass
 class Loaded:
-    """Columns by name, shape (T,) or (T, k): numbers with NaN where empty; times as they stand; and what was lost."""
+    """What a file holds of some columns.
+
+    Attributes:
+        columns: by name, shape (T,) or (T, k): numbers with NaN where empty; times as they stand.
+        faults: what was lost.
+        blank: rows in which nothing stands, shape (T,), of columns that have such.
+    """
 
     columns: Mapping[str, Values]
     faults: list[Fault] = field(default_factory=list)
+    blank: Mapping[str, BoolArray] = field(default_factory=dict)
 
 
 class ColumnFile(Protocol):
@@ -77,7 +85,7 @@ def read_columns(file: ColumnFile, mapping: SignalMap | None) -> list[Recording]
         )
     wanted = list(dict.fromkeys(name for _, several in chosen for name in several))
     loaded = file.load(wanted, stamps)
-    parts = _parts(file.path, mapping, chosen, loaded.columns)
+    parts = _parts(file.path, mapping, chosen, loaded)
     t = _seconds(file.path, time, loaded.columns, parts[0].y.shape[0])
     return _recordings(file.path, time, [part._replace(t=t) for part in parts], loaded, lost)
 
@@ -96,19 +104,35 @@ def _chosen(
     return chosen, lost
 
 
-def _parts(
-    path: Path, mapping: SignalMap, chosen: Sequence[tuple[Entry, list[str]]], columns: Mapping[str, Values]
-) -> list[Part]:
+def _parts(path: Path, mapping: SignalMap, chosen: Sequence[tuple[Entry, list[str]]], loaded: Loaded) -> list[Part]:
     """Signals without their times: the columns of all entries of one signal side by side."""
     blocks: dict[str, list[tuple[str, FloatArray]]] = {}
+    places: dict[str, list[str]] = {}
     units: dict[str, str] = {}
     for entry, names in chosen:
         units.setdefault(entry.signal, entry.unit)
         if units[entry.signal] != entry.unit:
             raise LogError(f"{path}: {entry.where}: '{entry.signal}' in {entry.unit}, in {units[entry.signal]} before")
         for name in names:
-            blocks.setdefault(entry.signal, []).extend(_block(path, entry, name, columns[name]))
-    return [_part(path, mapping, signal, units[signal], block) for signal, block in blocks.items()]
+            blocks.setdefault(entry.signal, []).extend(_block(path, entry, name, loaded.columns[name]))
+            places.setdefault(entry.signal, []).append(name)
+    parts = [_part(path, mapping, signal, units[signal], block) for signal, block in blocks.items()]
+    return [part._replace(blank=_blank(loaded, places[part.name])) for part in parts]
+
+
+def _blank(loaded: Loaded, names: Sequence[str]) -> BoolArray | None:
+    """Rows in which some of the columns of a signal are blank and none else is missing, shape (T,); None for none."""
+    # One joint that never reports must not make all rows blank; it is left out elsewhere.
+    alive = [name for name in names if name not in loaded.blank or not loaded.blank[name].all()] or list(names)
+    blanks = [loaded.blank[name] for name in alive if name in loaded.blank]
+    if not blanks:
+        return None
+    found: BoolArray = np.logical_or.reduce(blanks)
+    for name in alive:
+        values = np.asarray(loaded.columns[name], dtype=np.float64)
+        read = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        found &= read | loaded.blank[name] if name in loaded.blank else read
+    return found
 
 
 def _block(path: Path, entry: Entry, name: str, values: Values) -> list[tuple[str, FloatArray]]:
@@ -215,6 +239,10 @@ def _recordings(
     edges = np.flatnonzero(marks[1:] != marks[:-1]) + 1
     recordings = []
     for i, rows in enumerate(np.split(np.arange(marks.size), edges)):
-        pieces = [part._replace(t=part.t[rows], y=part.y[rows]) for part in parts]
+        pieces = [part._replace(t=part.t[rows], y=part.y[rows], blank=_some(part.blank, rows)) for part in parts]
         recordings.append(assemble(path, pieces, RigFacts(), found if i == 0 else (), name=f"{path.name}#{i:02d}"))
     return recordings
+
+
+def _some(blank: BoolArray | None, rows: npt.NDArray[np.int64]) -> BoolArray | None:
+    return None if blank is None else blank[rows]

@@ -11,6 +11,7 @@ import numpy as np
 
 from frasa_sysid.errors import LogError
 from frasa_sysid.readers.columns import Loaded, Values
+from frasa_sysid.readers.sampling import BoolArray
 from frasa_sysid.readers.sources import DAMAGED, check_source, open_unpacked
 from frasa_sysid.recording import Fault
 
@@ -52,14 +53,19 @@ class CsvFile:
         """
         places = {name: self._place(name) for name in (*wanted, *times)}
         blocks: dict[str, list[Values]] = {name: [] for name in places}
+        blanks: dict[str, list[BoolArray]] = {name: [] for name in wanted}
         faults: list[Fault] = []
         with self._lines() as lines:
             for start, columns in self._blocks(lines, list(places.values()), faults):
                 for name, fields in zip(places, columns, strict=True):
                     blocks[name].append(_block(self, name, start, fields, name in times))
+                    if name in blanks:
+                        blanks[name].append(_blanks(blocks[name][-1], fields))
         if not next(iter(blocks.values())):
             raise LogError(f"{self.path} has a header and no rows")
-        return Loaded({name: np.concatenate(several) for name, several in blocks.items()}, faults)
+        blank = {name: np.concatenate(several) for name, several in blanks.items()}
+        whole = {name: np.concatenate(several) for name, several in blocks.items()}
+        return Loaded(whole, faults, {name: one for name, one in blank.items() if one.any()})
 
     @contextmanager
     def _lines(self) -> Iterator[Iterator[str]]:
@@ -133,6 +139,13 @@ def _block(file: CsvFile, name: str, start: int, fields: list[str], time: bool) 
             # Blank lines are not counted: near enough to find it.
             raise LogError(f"{file.path}: line {start + i}: {name} = {text[:40]!r} is not a number") from None
     return values
+
+
+def _blanks(values: Values, fields: list[str]) -> BoolArray:
+    """Which fields of a column's next rows are empty."""
+    if np.isfinite(values).all():
+        return np.zeros(len(fields), dtype=np.bool_)
+    return np.fromiter((not text.strip() for text in fields), np.bool_, len(fields))
 
 
 def _with_gaps(fields: list[str]) -> Values:

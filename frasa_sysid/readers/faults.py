@@ -212,11 +212,17 @@ def voltage_faults(signals: Mapping[str, Signal], rig: RigFacts) -> list[Fault]:
     return [Fault("voltage_contradicted", 1, text)]
 
 
-def check_radians(signals: Mapping[str, Signal], rig: RigFacts, source: str) -> None:
+def check_radians(signals: Mapping[str, Signal], rig: RigFacts, source: str, form: str) -> None:
     """Refuse a bench log whose goals can only be degrees.
 
     Only goals are judged, and the position that follows them: a wheel turns
     many times, but nobody commands an arm by a goal two turns away.
+
+    Args:
+        signals: by name.
+        rig: facts of the rig.
+        source: the file.
+        form: what `import` calls its format; it is where the unit can be declared.
 
     Raises:
         LogError: goals beyond two turns.
@@ -232,5 +238,6 @@ def check_radians(signals: Mapping[str, Signal], rig: RigFacts, source: str) -> 
         if largest > DEGREES_FROM:
             raise LogError(
                 f"{source}: {name} looks like degrees: it reaches {largest:.4g}, expected radians; "
-                "bring it in with 'frasa-sysid import --unit deg' (or --unit rad if it is right)"
+                f"say which with 'frasa-sysid import {source} --format {form} --unit deg --out DIR' (--unit rad if it "
+                "is radians, of a joint that turns that far)"
             )

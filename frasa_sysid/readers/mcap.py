@@ -29,7 +29,7 @@ from frasa_sysid.readers.mcap_stream import StreamReport
 from frasa_sysid.readers.sampling import plural
 from frasa_sysid.readers.series import CLOCKS, Block, Series
 from frasa_sysid.readers.signal_map import SignalMap
-from frasa_sysid.readers.sources import Unit, check_source
+from frasa_sysid.readers.sources import ANGLE_UNIT, Unit, check_source
 from frasa_sysid.recording import Clock, Fault, Recording, RigFacts, Signal
 
 COMPARED: tuple[tuple[Clock, Clock], ...] = (("log", "header"), ("log", "publish"), ("publish", "header"))
@@ -49,7 +49,8 @@ def read_mcap(
     Args:
         path: the file.
         clock: which stamps to use; `auto` takes the best that all signals have.
-        unit: of joint angles; `deg` converts, `auto` refuses goals that can only be degrees.
+        unit: of joint angles; `deg` converts, `auto` refuses goals that can only be degrees, unless the file says
+            that somebody declared their unit when it was made.
         mapping: which topics are which signals; by default the message types say it.
         limit: how much of it is kept in memory; by default as much as usual.
 
@@ -240,8 +241,8 @@ def _make_recording(
             signals[name] = in_radians(signal, unit)
     if not signals:
         return None
-    if unit == "auto":
-        known_faults.check_radians(signals, run.rig, str(path))
+    if unit == "auto" and ANGLE_UNIT not in run.extra:
+        known_faults.check_radians(signals, run.rig, str(path), "mcap" if path.suffix == ".mcap" else "rosbag")
     signals, handled = known_faults.clean(signals, run.rig)
     last = max(signal.t[-1] for signal in signals.values())
     missing = (window[1] - window[0]) / 1e9 - last

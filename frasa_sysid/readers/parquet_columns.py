@@ -8,6 +8,7 @@ import numpy as np
 
 from frasa_sysid.errors import LogError
 from frasa_sysid.readers.columns import Loaded, Values
+from frasa_sysid.readers.sampling import BoolArray
 from frasa_sysid.readers.sources import check_source
 
 ROWS = 65_536  # at a time
@@ -57,15 +58,20 @@ class ParquetFile:
         """
         names = list(dict.fromkeys((*wanted, *times)))
         blocks: dict[str, list[Values]] = {name: [] for name in names}
+        blanks: dict[str, list[BoolArray]] = {name: [] for name in wanted}
         try:
             for batch in self._file.iter_batches(batch_size=ROWS, columns=names):
                 for name in names:
                     blocks[name].append(self._block(name, batch.column(name), name in times))
+                for name in wanted:
+                    blanks[name].append(np.asarray(batch.column(name).is_null().to_numpy(zero_copy_only=False)))
         except self._error as error:
             raise LogError(f"{self.path} is damaged: {_one_line(error)}") from error
         if not blocks[names[0]]:
             raise LogError(f"{self.path} holds no rows")
-        return Loaded({name: np.concatenate(several) for name, several in blocks.items()})
+        blank = {name: np.concatenate(several) for name, several in blanks.items()}
+        columns = {name: np.concatenate(several) for name, several in blocks.items()}
+        return Loaded(columns, blank={name: one for name, one in blank.items() if one.any()})
 
     def _block(self, name: str, column: Any, time: bool) -> Values:  # noqa: ANN401 - an arrow array
         import pyarrow as pa

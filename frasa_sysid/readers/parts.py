@@ -11,7 +11,7 @@ import numpy as np
 from frasa_sysid.calibration.files import sha256_of_file
 from frasa_sysid.errors import LogError
 from frasa_sysid.readers import faults as known_faults
-from frasa_sysid.readers.sampling import make_signal
+from frasa_sysid.readers.sampling import BoolArray, make_signal
 from frasa_sysid.readers.sources import read_bytes
 from frasa_sysid.recording import Fault, FloatArray, Recording, RigFacts, Signal
 
@@ -19,13 +19,17 @@ LONGEST = 1e7  # [s]; 115 days: what lasts longer has a broken stamp
 
 
 class Part(NamedTuple):
-    """One signal as a file gives it: times [s] (T,) in any order, values (T,) or (T, k) with NaN where empty."""
+    """One signal as a file gives it: times [s] (T,) in any order, values (T,) or (T, k) with NaN where empty.
+
+    `blank`, shape (T,), tells samples that a table leaves empty from those that were read and are no numbers.
+    """
 
     name: str
     unit: str
     t: FloatArray
     y: FloatArray
     columns: tuple[str, ...] = ()
+    blank: BoolArray | None = None
 
 
 def assemble(
@@ -59,7 +63,7 @@ def assemble(
         raise LogError(f"{path}: its times are months apart, expected those of one run")
     signals: dict[str, Signal] = {}
     for part in parts:
-        signal, more = make_signal(part.name, part.unit, part.t - zero, part.y, part.columns)
+        signal, more = make_signal(part.name, part.unit, part.t - zero, part.y, part.columns, part.blank)
         faults += more
         if signal is not None:
             signals[part.name] = signal

@@ -3,9 +3,11 @@
 from collections.abc import Mapping
 
 import numpy as np
+import numpy.typing as npt
 
 from frasa_sysid.recording import Fault, FloatArray, Signal
 
+BoolArray = npt.NDArray[np.bool_]
 GAP = 3.0  # times the median period
 RATE_WINDOW = 50  # samples over which a rate is judged
 RATE_RATIO = 1.25
@@ -17,7 +19,12 @@ def plural(count: int, noun: str) -> str:
 
 
 def make_signal(
-    name: str, unit: str, t: FloatArray, y: FloatArray, columns: tuple[str, ...] = ()
+    name: str,
+    unit: str,
+    t: FloatArray,
+    y: FloatArray,
+    columns: tuple[str, ...] = (),
+    blank: BoolArray | None = None,
 ) -> tuple[Signal | None, list[Fault]]:
     """A signal from raw samples, in order of time and without NaN.
 
@@ -27,11 +34,15 @@ def make_signal(
         t: sample times [s], shape (T,), in any order.
         y: values, shape (T,) or (T, k).
         columns: names of the k columns.
+        blank: samples of which a table has nothing, shape (T,); they are no failed readings.
 
     Returns:
         The signal, or None when no sample is left, and what was wrong.
     """
     faults: list[Fault] = []
+    if blank is not None and blank.any():
+        faults.append(_blank(name, int(blank.sum()), blank.size))
+        t, y = t[~blank], y[~blank]
     y, columns = _without_dead_columns(name, y, columns, faults)
     bad = ~np.isfinite(t) | ~np.isfinite(y.reshape(t.size, -1)).all(axis=1)
     if bad.any():
@@ -56,6 +67,11 @@ def make_signal(
             )
         )
     return (Signal(name, unit, t, y, columns) if t.size else None), faults
+
+
+def _blank(name: str, count: int, rows: int) -> Fault:
+    what = "the column is empty" if count == rows else "left out, as where a column is slower than the table"
+    return Fault("blank", count, f"{name}: blank in {count} of {rows} rows; {what}")
 
 
 def _not_finite(name: str, count: int, everything: bool) -> Fault:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 from frasa_sysid.errors import LogError
 
 Unit = Literal["auto", "rad", "deg"]  # of joint angles, as the user declares it; auto: radians, checked
+ANGLE_UNIT = "angle_unit"  # in a recording's `extra`: who declared the unit of its angles; they are not doubted then
 TEXT_LIMIT = 2**25  # bytes, unpacked; as lists of numbers they take twenty times as many
 MOST_TIMES = 200  # as many bytes as it has may a packed file have unpacked; logs come to five or ten
 SMALL = 2**20  # bytes that it may have in any case

@@ -1,6 +1,8 @@
 import argparse
 import gzip
 import json
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from frasa_sysid.errors import LogError
 from frasa_sysid.readers import read_log
 from frasa_sysid.readers.bam import read_bam
 from frasa_sysid.rig_table import read_rig_table
+from frasa_sysid.writer import write_mcap
 
 
 def frasa(*words):
@@ -248,3 +251,39 @@ def test_units_that_need_no_declaration(tmp_path, form, capsys):
     assert "--unit deg" in capsys.readouterr().err
     assert frasa("import", tmp_path, "--format", form, "--out", tmp_path) == 3
     assert "holds no" in capsys.readouterr().err
+
+
+TURNS = '[time]\nrate = 100\n[[signal]]\ncolumn = "q"\nsignal = "position"\nunit = "deg"\n'
+TURNS += TURNS.partition("rate = 100\n")[2].replace('"q"', '"g"').replace("position", "goal")
+
+
+def test_a_joint_of_several_turns(tmp_path):
+    """Angles whose unit was declared, by a map or --unit, are not doubted later; each message names what helps."""
+    goals = np.linspace(0, 1000, 300)
+    text = "q,g\n" + "".join(f"{goal - 1},{goal}\n" for goal in goals)
+    (tmp_path / "far.csv").write_text(text)
+    (tmp_path / "far.toml").write_text(TURNS)
+    words = ["import", tmp_path / "far.csv", "--format", "csv", "--map", tmp_path / "far.toml"]
+    assert frasa(*words, "--out", tmp_path / "csv") == 0
+    (mapped,) = read_log(tmp_path / "csv" / "far.mcap")
+    assert mapped.signal("goal").y.max() == pytest.approx(np.deg2rad(1000))
+    # The same from a recorder that declares nothing.
+    bare = tmp_path / "bare.mcap"
+    write_mcap(bare, [replace(mapped, extra={})])
+    with pytest.raises(LogError, match=r"goal looks like degrees: it reaches 17\.45") as error:
+        read_log(bare)
+    remedy = re.search(r"'frasa-sysid (.*?)'", str(error.value))[1].replace("DIR", str(tmp_path / "again")).split()
+    assert frasa(*(word if word != "deg" else "rad" for word in remedy)) == 0
+    assert read_log(tmp_path / "again" / "bare.mcap")[0].signal("goal").y.max() == pytest.approx(np.deg2rad(1000))
+    assert frasa(*remedy) == 0
+    assert read_log(tmp_path / "again" / "bare.mcap")[0].signal("goal").y.max() == pytest.approx(
+        np.deg2rad(17.453), 1e-3
+    )
+
+
+def test_what_was_declared_is_on_record(tmp_path, made_of):
+    """The MCAP says with which options it was made."""
+    source = bam(tmp_path / "a.json", mass=None)
+    words = ["--unit", "rad", "--mass", 0.5, "--servo", "mx64"]
+    assert frasa("import", source, "--format", "bam", "--out", tmp_path, *words) == 0
+    assert made_of(tmp_path / "a.mcap")["declared"] == {"mass": 0.5, "servo": "mx64", "unit": "rad"}

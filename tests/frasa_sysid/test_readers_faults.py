@@ -136,7 +136,7 @@ def test_degrees_only_where_a_goal_commands_an_arm():
     far = np.linspace(0, 90, 300)
     both = {"goal": signal("goal", far), "position": signal("position", far)}
     with pytest.raises(LogError, match="looks like degrees: it reaches 90"):
-        check_radians(both, RigFacts(), "a.mcap")
-    check_radians(both, RigFacts(control="voltage"), "a.mcap")
-    check_radians({"position": both["position"]}, RigFacts(), "a.mcap")
-    check_radians({"goal": signal("goal", far / 10)}, RigFacts(), "a.mcap")
+        check_radians(both, RigFacts(), "a.mcap", "mcap")
+    check_radians(both, RigFacts(control="voltage"), "a.mcap", "mcap")
+    check_radians({"position": both["position"]}, RigFacts(), "a.mcap", "mcap")
+    check_radians({"goal": signal("goal", far / 10)}, RigFacts(), "a.mcap", "mcap")
