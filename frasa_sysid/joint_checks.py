@@ -12,6 +12,7 @@ import numpy as np
 
 from frasa_sysid.errors import LogError
 from frasa_sysid.holds import up_of
+from frasa_sysid.inspection import gravity_torque, is_bench
 from frasa_sysid.lag_channels import Pair, pairs
 from frasa_sysid.recording import FloatArray, Recording
 
@@ -20,6 +21,7 @@ FAST = 0.02  # [s] a sampling period up to which delays can be told
 SLOW = 0.05  # [s] from which on a fit of delays is refused
 ZERO = 0.3  # [rad] that a joint may be from its goal on average: gravity takes a soft joint about so far
 SLOPE = (0.5, 1.6)  # of the measurement over the goal
+YIELDS = 0.8  # of the measurement over the goal, below which a joint gives way to its load
 FOLLOWS = 0.7  # correlation from which on a slope means something
 MOVES = 0.02  # [rad], standard deviation, from which on a joint moves
 LATEST = 0.4  # [s] that a joint may be behind its goal
@@ -54,8 +56,10 @@ class Check:
 
 def checks(recording: Recording) -> list[Check]:
     """Everything that looks wrong with a recording's joints; empty where nothing does, or there are none."""
-    if "position" not in recording.signals or recording.linear:
-        return _no_joints(recording)
+    if "position" not in recording.signals:
+        return [_no_positions(recording)]
+    if recording.linear:
+        return []
     found = [*_rate(recording), *_goal(recording), *_held(recording)]
     for name, judge in (("goal", _against_goal), ("velocity", _against_slope)):
         if name in recording.signals:
@@ -75,11 +79,14 @@ def _joints(recording: Recording, name: str, judge: Judge) -> list[Check]:
     return [check for pair in asked for check in judge(recording, pair)]
 
 
-def _no_joints(recording: Recording) -> list[Check]:
-    if recording.linear or ("gyro" not in recording.signals and "orientation" not in recording.signals):
-        return []
-    text = "an IMU and no joint positions: delays between IMU channels can be told ('lag'), nothing can be fitted"
-    return [Check(recording.name, "no_joints", "", "refuse", text)]
+def _no_positions(recording: Recording) -> Check:
+    if "gyro" in recording.signals or "orientation" in recording.signals:
+        text = "an IMU and no joint positions: delays between IMU channels can be told ('lag'), nothing can be fitted"
+        return Check(recording.name, "no_joints", "", "refuse", text)
+    there = ", ".join(sorted(recording.signals)) or "nothing"
+    remedy = "record /joint_states (or add a 'position' entry to the map)"
+    text = f"no positions, only {there}: nothing can be fitted; {remedy}"
+    return Check(recording.name, "no_positions", "", "refuse", text)
 
 
 def _rate(recording: Recording) -> list[Check]:
@@ -136,13 +143,20 @@ def _against_goal(recording: Recording, pair: Pair) -> list[Check]:
     if t.size < FEWEST:
         return []
     some_t, some_y = _thinned(t, y)
-    _shift, r, slope, offset = _best_fit(some_t, some_y, goal.signal.t, goal.y)
+    shift, r, slope, offset = _best_fit(some_t, some_y, goal.signal.t, goal.y)
     told = f"it was told {_degrees(goal.y)} and went {_degrees(y)}"
     if r < -FOLLOWS and min(goal.y.std(), y.std()) > MOVES:
         text = f"sign of {joint} looks wrong: {told} deg (correlation {r:.2f}): turn the sign of one of them"
         return [Check(recording.name, "wrong_sign", pair.joint, "refuse", text)]
     found = []
-    if abs(offset) > ZERO:
+    middle = float(np.median(np.interp(some_t - shift, goal.signal.t, goal.y)))
+    if abs(offset) > ZERO and _may_hang(recording, middle, offset) and (_loaded(recording) or _yields(r, slope)):
+        text = (
+            f"{joint} hangs below its goal: {told} deg, {np.rad2deg(offset):+.0f} deg on average: little strength at "
+            "this gain, or a wrong zero"
+        )
+        found.append(Check(recording.name, "hangs_below", pair.joint, "warn", text))
+    elif abs(offset) > ZERO:
         text = f"zero of {joint} looks wrong: {told} deg, {np.rad2deg(offset):+.0f} deg on average: check its mapping"
         found.append(Check(recording.name, "wrong_zero", pair.joint, "refuse", text))
     moved = goal.y.std() > MOVES
@@ -156,6 +170,21 @@ def _against_goal(recording: Recording, pair: Pair) -> list[Check]:
         )
         found.append(Check(recording.name, "does_not_follow", pair.joint, "warn", text))
     return found
+
+
+def _may_hang(recording: Recording, goal: float, offset: float) -> bool:
+    """Whether a bench's arm is where its weight would draw it: from its goal towards the zero, and hardly beyond."""
+    held = {"gyro", "orientation"} & set(recording.signals) or recording.rig.base is not None
+    return is_bench(recording) and not held and goal * offset < 0 and abs(offset) < abs(goal) + ZERO
+
+
+def _loaded(recording: Recording) -> bool:
+    return (gravity_torque(recording) or 0.0) > 0.0
+
+
+def _yields(r: float, slope: float) -> bool:
+    """Whether a joint goes the way that it is told, and far less far."""
+    return r > FOLLOWS and 0.0 < slope < YIELDS
 
 
 def _powered(recording: Recording, pair: Pair) -> "np.ndarray[tuple[int], np.dtype[np.bool_]]":

@@ -3,13 +3,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from frasa_sysid.calibration.command_line import run_command
+from frasa_sysid.cli import build_parser
 from frasa_sysid.joint_checks import checks
 from frasa_sysid.readers import read_log
+from frasa_sysid.readers.bam import read_bam
 from frasa_sysid.readers.harold import read_harold
 from frasa_sysid.readers.kbot import read_kbot
 from frasa_sysid.readers.rostopic_csv import read_rostopic_csv
 from frasa_sysid.readers.upkie import read_upkie
 from frasa_sysid.recording import Recording, RigFacts, Signal
+from frasa_sysid.writer import write_mcap
 
 T = np.arange(0, 10, 0.01)
 Q = 0.5 * np.sin(3 * T) + 0.2 * np.sin(7 * T)
@@ -122,3 +126,73 @@ def test_our_own_bench_log_has_nothing_to_say(robot_model_dir):
     """The log of this repository, drops without torque included, raises no check."""
     recordings = read_log(robot_model_dir.parent / "bench_logs" / "mx106.mcap")
     assert [check for recording in recordings for check in checks(recording)] == []
+
+
+def bench(goal, position, rig=None):
+    signals = {name: Signal(name, "rad", T, y) for name, y in (("goal", goal), ("position", position))}
+    return Recording("bench", signals, rig or RigFacts(mass=0.5, length=0.1), "real", "none", "", "header")
+
+
+LIFT = np.interp(T, [0, 4, 8, 10], [0.0, 1.5, 1.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("recording", "expected"),
+    [
+        (bench(LIFT, 0.6 * LIFT), {("hangs_below", "", "warn")}),
+        (bench(-LIFT, -0.6 * LIFT), {("hangs_below", "", "warn")}),
+        (bench(LIFT, 0.6 * LIFT, RigFacts()), {("hangs_below", "", "warn")}),
+        # As far as it is told, and elsewhere: by a load's weight perhaps, without one not.
+        (bench(LIFT + 0.5, LIFT), {("hangs_below", "", "warn")}),
+        (bench(LIFT + 0.5, LIFT, RigFacts()), {("wrong_zero", "", "refuse")}),
+        (bench(LIFT + 0.5, LIFT, RigFacts(mass=0.0, length=0.0)), {("wrong_zero", "", "refuse")}),
+        # No weight lifts, or draws beyond the vertical.
+        (bench(LIFT, LIFT + 0.5), {("wrong_zero", "", "refuse")}),
+        (bench(LIFT, LIFT - 2.0), {("wrong_zero", "", "refuse")}),
+        (bench(LIFT, -LIFT), {("wrong_sign", "", "refuse")}),
+        (bench(LIFT, -0.6 * LIFT), {("wrong_sign", "", "refuse")}),
+        # A robot's joint is strong enough to hold it.
+        (bench(LIFT, 0.6 * LIFT, RigFacts(mass=0.5, length=0.1, base="fixed")), {("wrong_zero", "", "refuse")}),
+        (robot(goal=[Q, Q + 0.6], position=[Q, 0.6 * Q], velocity=None), {("wrong_zero", "knee", "refuse")}),
+    ],
+)
+def test_an_arm_that_hangs_below_its_goal(recording, expected):
+    """A soft bench is warned of in its own words; wrong signs, other zeros and robots are refused as ever."""
+    assert codes(recording) == expected
+
+
+def test_soft_runs_of_a_real_bench(shared_dir):
+    """Runs at low gain, which published results rest on, are good logs."""
+    folder = shared_dir / "data" / "xl330"
+    if not folder.is_dir():
+        pytest.skip("no XL330 logs: expected shared/data/xl330 beside the repository")
+    found = [check for path in sorted(folder.glob("*.json*")) for one in read_bam(path) for check in checks(one)]
+    assert {one.level for one in found} == {"warn"}
+    hanging = [one for one in found if one.code == "hangs_below"]
+    assert len(hanging) == 7
+    assert "little strength at this gain, or a wrong zero" in hanging[0].message
+
+
+@pytest.mark.parametrize(
+    ("names", "code"),
+    [(("goal",), "no_positions"), (("goal", "gyro"), "no_joints"), (("supply_voltage",), "no_positions")],
+)
+def test_a_log_without_positions(names, code, tmp_path, capsys):
+    """It is refused, with what to record; an IMU is worth something by itself."""
+    units = {"goal": "rad", "gyro": "rad/s", "supply_voltage": "V"}
+    signals = {name: Signal(name, units[name], T, np.sin(T)) for name in names}
+    recording = Recording("a", signals, RigFacts(), "real", "none", "", "header")
+    assert codes(recording) == {(code, "", "refuse")}
+    write_mcap(tmp_path / "a.mcap", [recording])
+    assert run_command(build_parser(), ["inspect", str(tmp_path / "a.mcap")]) == 0
+    text = " ".join(capsys.readouterr().err.split())
+    assert "refused a.mcap#00:" in text
+    assert ("record /joint_states (or add a 'position' entry to the map)" in text) is (code == "no_positions")
+
+
+def test_goals_in_metres_and_no_position():
+    """A linear axis needs its position as well."""
+    goal = Signal("goal", "m", T, np.sin(T))
+    assert codes(Recording("a", {"goal": goal}, RigFacts(), "real", "none", "", "header")) == {
+        ("no_positions", "", "refuse")
+    }
