@@ -183,12 +183,10 @@ def build(settings: Settings, bound: Observation, joints: int, device: str) -> L
         device: `auto`, `cpu` or `cuda`.
 
     Raises:
-        UsageError: `cuda` without a CUDA device, or a setting that the algorithm does not have.
+        UsageError: `cuda` without a CUDA device.
     """
     if device == "cuda" and not torch.cuda.is_available():
         raise UsageError("no CUDA device that torch can use: give --device cpu")
-    if settings.weight_norm and settings.algorithm != "crossq":
-        raise UsageError(f"{settings.algorithm} does not have weight_norm")
     torch.set_num_threads(settings.threads)
     nets: dict[str, Any] = {"net_arch": {"pi": list(settings.actor), "qf": list(settings.critic)}}
     common: dict[str, Any] = {

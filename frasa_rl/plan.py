@@ -52,6 +52,7 @@ class Plan:
     task: Task = field(default_factory=Task)
 
     def __post_init__(self) -> None:
+        Ends(self.steps, self.minutes, self.until_success)  # says what cannot be before anything is made
         own = self.settings
         task = replace(
             self.task,

@@ -8,6 +8,7 @@ from frasa_rl.simulation import all_threads
 from frasa_sysid.calibration import UsageError
 
 ALGORITHMS = ("crossq", "sac")
+LAST_SEED = 2**32 - 1  # of numpy's and torch's global generators
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Settings:
         evaluate_falls: of them on each side.
         evaluate_physics: how they are simulated; `model` is the truth, whatever is trained with.
         checkpoint_steps: transitions between two checkpoints.
-        seed: of everything.
+        seed: of everything; 0 .. `LAST_SEED`.
     """
 
     algorithm: str = "crossq"
@@ -88,19 +89,21 @@ class Settings:
     def __post_init__(self) -> None:
         if self.algorithm not in ALGORITHMS:
             raise UsageError(f"the algorithm is '{self.algorithm}': expected {' or '.join(ALGORITHMS)}")
-        for name in _AT_LEAST_ONE:
-            if getattr(self, name) < 1:
-                raise UsageError(f"{name} is {getattr(self, name)}: expected at least 1")
-        for name in ("seed", "learning_starts", "evaluate_steps", "average"):
-            if getattr(self, name) < 0:
-                raise UsageError(f"{name} is {getattr(self, name)}: expected 0 or more")
-        if self.env_threads is not None and self.env_threads < 1:
-            raise UsageError(f"env_threads is {self.env_threads}: expected at least 1")
+        for name, (low, high) in _WITHIN.items():
+            value = getattr(self, name)
+            for one in value if isinstance(value, tuple) else (value,):
+                if not (one is None and name == "env_threads") and not low <= one <= high:  # NaN is within nothing
+                    raise UsageError(f"{name} is {one}: expected {low:,g} .. {high:,g}")
         if not 0.0 <= self.noise_correlation < 1.0:
             raise UsageError(f"noise_correlation is {self.noise_correlation}: expected at least 0 and less than 1")
-        for name, (low, high) in _WITHIN.items():
-            if not low <= getattr(self, name) <= high:
-                raise UsageError(f"{name} is {getattr(self, name)}: expected {low:g} .. {high:g}")
+        if not 0 <= self.seed <= LAST_SEED:
+            raise UsageError(f"seed is {self.seed}: expected 0 .. {LAST_SEED}")
+        if self.buffer < self.n_step * self.envs:
+            raise UsageError(
+                f"a buffer of {self.buffer} transitions does not hold {self.n_step} steps of {self.envs} robots"
+            )
+        if self.weight_norm and self.algorithm != "crossq":
+            raise UsageError(f"{self.algorithm} does not have weight_norm")
         for name in ("physics", "evaluate_physics"):
             if getattr(self, name) not in NAMES:
                 raise UsageError(f"{name} are '{getattr(self, name)}': expected {' or '.join(NAMES)}")
@@ -122,12 +125,25 @@ class Settings:
         return self.env_threads or all_threads()
 
 
-_AT_LEAST_ONE = (
-    "envs", "rollout_steps", "batch", "buffer", "n_step", "policy_delay", "threads", "pool", "evaluate_falls",
-    "checkpoint_steps",
-)  # fmt: skip
-
+# Whole numbers have an end, too: far above it a run would fail for want of memory, and long after it began.
 _WITHIN = {
+    "envs": (1, 10_000),
+    "rollout_steps": (1, 1e6),
+    "env_threads": (1, 1024),
+    "threads": (1, 1024),
+    "learning_starts": (0, 1e9),
+    "batch": (2, 65_536),  # one transition has no spread to normalise by
+    "buffer": (1, 1e8),
+    "n_step": (1, 1000),
+    "policy_delay": (1, 1e6),
+    "actor": (1, 8192),
+    "critic": (1, 8192),
+    "average": (0, 1e9),
+    "renorm_warmup": (0, 1e9),
+    "pool": (1, 1e6),
+    "evaluate_steps": (0, 1e9),
+    "evaluate_falls": (1, 10_000),
+    "checkpoint_steps": (1, 1e9),
     "updates_per_step": (0.0, 1e3),
     "discount": (0.0, 1.0),
     "learning_rate": (0.0, 1.0),

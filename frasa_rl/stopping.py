@@ -10,6 +10,8 @@ import numpy as np
 
 from frasa_sysid.calibration import UsageError, say
 
+_MOST_STEPS, _MOST_MINUTES = 1e12, 1e7  # years of either
+
 
 @dataclass(frozen=True)
 class Ends:
@@ -26,6 +28,10 @@ class Ends:
     success: float | None = None
 
     def __post_init__(self) -> None:
+        if self.steps is not None and not 1 <= self.steps <= _MOST_STEPS:
+            raise UsageError(f"--steps is {self.steps}: expected 1 .. {_MOST_STEPS:,g}")
+        if self.minutes is not None and not 0.0 < self.minutes <= _MOST_MINUTES:  # NaN and infinity never come
+            raise UsageError(f"--minutes is {self.minutes}: expected more than 0 and at most {_MOST_MINUTES:,g}")
         if self.success is not None and not 0.0 < self.success <= 1.0:
             raise UsageError(f"--until-success is {self.success}: expected more than 0 and at most 1")
 

@@ -20,6 +20,7 @@ CONTROLLER_HELP = (
     "a run or policy folder, an SB3 file (.zip), 'keyframes', a file of keyframes (.yaml), or 'nothing' "
     "(every command held)"
 )
+_MOST_TRIALS, _MOST_SEED = 100_000, 2**63 - 1
 
 
 def add_conditions(parser: argparse.ArgumentParser) -> None:
@@ -35,6 +36,14 @@ def add_conditions(parser: argparse.ArgumentParser) -> None:
 def add_trust(parser: argparse.ArgumentParser) -> None:
     """Add the argument that lets files from strangers in."""
     parser.add_argument("--trust", action="store_true", help="read an SB3 file (.zip): you know where it is from")
+
+
+def check_trials(args: argparse.Namespace) -> None:
+    """Raise UsageError for numbers of trials that cannot be, or would not end."""
+    for name in ("trials", "push_trials"):
+        if not 1 <= getattr(args, name) <= _MOST_TRIALS:
+            words = f"--{name.replace('_', '-')} is {getattr(args, name)}"
+            raise UsageError(f"{words}: expected at least 1, at most {_MOST_TRIALS:,}")
 
 
 def chosen_task_of(args: argparse.Namespace, word: str) -> Task:
@@ -60,8 +69,8 @@ def conditions(
     Raises:
         UsageError: a number that cannot be.
     """
-    if args.seed < 0:
-        raise UsageError("--seed must not be negative")
+    if not 0 <= args.seed <= _MOST_SEED:
+        raise UsageError(f"--seed is {args.seed}: expected 0 .. {_MOST_SEED}")
     if args.rate is not None and not 0.0 < args.rate <= 1000.0:
         raise UsageError("--rate must be more than 0 and at most 1000")
     task = chosen_task_of(args, word)

@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from frasa_rl.bars import shown_share
-from frasa_rl.commands.arguments import CONTROLLER_HELP, add_conditions, conditions, provenance
+from frasa_rl.commands.arguments import CONTROLLER_HELP, add_conditions, check_trials, conditions, provenance
 from frasa_rl.commands.leave_page import leave_page
 from frasa_rl.evaluate import SCHEMA, evaluate
 from frasa_rl.evaluation_page import write_evaluation_page
 from frasa_rl.protocol_picture import check_picture, draw
 from frasa_rl.protocol_tables import tables
 from frasa_sysid.calibration import (
-    UsageError,
     add_json_flag,
     add_report_arguments,
     alone,
@@ -62,8 +61,7 @@ def run_protocol(args: argparse.Namespace, word: str) -> dict[str, Any]:
     Raises:
         UsageError: a number of trials below one, or a picture in an unknown format.
     """
-    if args.trials < 1 or args.push_trials < 1:
-        raise UsageError("--trials and --push-trials must be at least 1")
+    check_trials(args)
     pictures = [one for one in (args.picture, args.out and args.out / PICTURE_FILE) if one]
     for path in pictures:
         check_picture(path)

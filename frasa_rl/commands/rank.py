@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 from frasa_rl.bars import shown_share
-from frasa_rl.commands.arguments import CONTROLLER_HELP, add_conditions, conditions, provenance
+from frasa_rl.commands.arguments import CONTROLLER_HELP, add_conditions, check_trials, conditions, provenance
 from frasa_rl.evaluate import evaluate
 from frasa_rl.instruments import MEASURES
 from frasa_rl.rank import CRITERIA, PASS_SHARE, numbers_of, rank, rank_table
@@ -43,8 +43,7 @@ def _part(tell: Callable[[float], None], begin: float) -> Callable[[float], None
 
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
-    if args.trials < 1 or args.push_trials < 1:
-        raise UsageError("--trials and --push-trials must be at least 1")
+    check_trials(args)
     if len(set(args.controllers)) < len(args.controllers):
         raise UsageError("a controller is named twice")
     model = args.model

@@ -12,7 +12,9 @@ from frasa_rl.commands.leave_page import leave_page
 from frasa_rl.commands.rank import rank_words
 from frasa_rl.commands.training import add_training, check_resumed, plan_from_arguments
 from frasa_rl.places import usual_jobs
+from frasa_rl.settings import LAST_SEED
 from frasa_rl.simulation import all_threads
+from frasa_rl.stopping import Ends
 from frasa_rl.sweep_files import LOG_FILE, RANK_FILE, SWEEP_FILE, Sweep, read_sweep
 from frasa_rl.sweep_page import write_sweep_page
 from frasa_rl.sweep_table import AGENTS, by_merit
@@ -28,6 +30,7 @@ from frasa_sysid.calibration import (
 )
 
 _ADVISED = 3  # candidates in the advice to rank some
+_MOST_AGENTS = 10_000
 
 
 class AgentsError(FrasaError):
@@ -93,18 +96,26 @@ def _sweep(args: argparse.Namespace, sweep: Sweep) -> dict[str, Any]:
 
 
 def _check(args: argparse.Namespace) -> None:
-    if args.seeds is not None and args.seeds < 1:
-        raise UsageError(f"--seeds {args.seeds}: expected 1 or more")
-    if args.first_seed is not None and args.first_seed < 0:
-        raise UsageError(f"--first-seed {args.first_seed}: expected 0 or more")
-    if args.jobs is not None and args.jobs < 1:
-        raise UsageError(f"--jobs {args.jobs}: expected 1 or more")
+    Ends(args.steps, args.minutes, args.until_success)
+    if args.seeds is not None and not 1 <= args.seeds <= _MOST_AGENTS:
+        raise UsageError(f"--seeds {args.seeds}: expected 1 .. {_MOST_AGENTS:,}")
+    if args.first_seed is not None and not 0 <= args.first_seed <= LAST_SEED:
+        raise UsageError(f"--first-seed {args.first_seed}: expected 0 .. {LAST_SEED}")
+    _check_last_seed(args.first_seed or 0, args.seeds or 1)
+    if args.jobs is not None and not 1 <= args.jobs <= _MOST_AGENTS:
+        raise UsageError(f"--jobs {args.jobs}: expected 1 .. {_MOST_AGENTS:,}")
     if args.jobs is not None and args.cluster is not None:
         raise UsageError("--jobs is of this machine; of a cluster each worker's threads are as many agents")
     if args.rank < 0:
         raise UsageError(f"--rank {args.rank}: expected 0 or more")
     if any(one.partition("=")[0].strip() == "seed" for one in args.set or ()):
         raise UsageError("--set seed: the seeds of a sweep are --first-seed and those after it")
+
+
+def _check_last_seed(first: int, count: int) -> None:
+    last = first + count - 1
+    if last > LAST_SEED:
+        raise UsageError(f"--seeds {count}: the last seed would be {last}, expected at most {LAST_SEED}")
 
 
 def _new(args: argparse.Namespace, out: Path) -> Sweep:
@@ -144,6 +155,7 @@ def _resumed(args: argparse.Namespace) -> Sweep:
         return sweep
     if args.seeds < len(sweep.seeds):
         raise UsageError(f"--seeds {args.seeds}: {sweep.out} has {len(sweep.seeds)} agents already")
+    _check_last_seed(sweep.seeds[0], args.seeds)
     return replace(sweep, seeds=tuple(range(sweep.seeds[0], sweep.seeds[0] + args.seeds)))
 
 

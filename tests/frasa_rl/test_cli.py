@@ -140,6 +140,12 @@ def test_play_writes_a_film(run, nominal, start, tmp_path, capsys):
         (["train", "--model", "MODEL"], 2, "needs an end"),
         (["train", "--model", "MODEL", "--until-success", "1.5"], 2, "at most 1"),
         (["train", "--model", "MODEL", "--until-success", "0.9", "--evaluate-steps", "0"], 2, "needs evaluations"),
+        (["train", "--model", "MODEL", "--steps", "8", "--seed", "5000000000"], 2, "seed is 5000000000: expected 0 .."),
+        (["train", "--model", "MODEL", "--steps", "8", "--set", "batch=1"], 2, "batch is 1: expected 2"),
+        (["train", "--model", "MODEL", "--minutes", "nan"], 2, "--minutes is nan"),
+        (["train", "--model", "MODEL", "--steps", "-5"], 2, "--steps is -5"),
+        (["rank", "nothing", "--model", "MODEL", "--trials", "1000000000"], 2, "--trials is 1000000000"),
+        (["evaluate", "nothing", "--model", "MODEL", "--seed", "-1"], 2, "--seed is -1"),
         (["train", "--resume", "missing", "--seed", "1"], 2, "--seed from the run itself"),
         (["train", "--resume", "missing", "--env-threads", "1"], 2, "--env-threads from the run itself"),
         (["train", "--resume", "missing"], 3, "expected the folder of a run"),
@@ -177,3 +183,4 @@ def test_errors_are_one_line_and_a_status(words, code, message, nominal, tmp_pat
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1
     assert message in lines[0]
+    assert [one.name for one in tmp_path.iterdir()] == ["box.xml"]

@@ -47,7 +47,7 @@ def test_every_setting_can_be_given():
         (["batch"], "expected NAME=VALUE"),
         (["batch=1.5"], "--set batch=1.5: expected a whole number"),
         (["batch=none"], "expected a whole number"),
-        (["batch=0"], "batch is 0: expected at least 1"),
+        (["batch=0"], "batch is 0: expected 2 .. 65,536"),
         (["batch=1", "batch=2"], "batch is set twice"),
         (["actor="], "with commas, such as 256,256"),
         (["actor=64,0"], "with commas, such as 256,256"),

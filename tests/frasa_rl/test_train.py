@@ -20,7 +20,7 @@ from frasa_rl.policy import Policy
 from frasa_rl.settings import PRESETS, Settings
 from frasa_rl.tables import EVALUATIONS, PROGRESS
 from frasa_rl.train import make_loop, train
-from frasa_sysid.calibration import CalibrationError, InterruptedRunError, UsageError
+from frasa_sysid.calibration import CalibrationError, InputError, InterruptedRunError, UsageError
 
 TINY = Settings(
     envs=2,
@@ -282,9 +282,42 @@ def test_the_paper_preset_is_the_published_recipe():
         ({"evaluate_physics": "slow"}, "evaluate_physics are 'slow'"),
         ({"env_threads": 0}, "env_threads is 0"),
         ({"learning_starts": -1}, "learning_starts is -1"),
+        ({"seed": 5_000_000_000}, "seed is 5000000000: expected 0 .. 4294967295"),
+        ({"batch": 1}, "batch is 1: expected 2"),
+        ({"actor": (64, 0)}, "actor is 0: expected 1"),
+        ({"pool": 10**12}, "pool is 1000000000000: expected 1"),
+        ({"renorm_warmup": -1}, "renorm_warmup is -1"),
+        ({"learning_rate": float("nan")}, "learning_rate is nan"),
+        ({"envs": 8, "n_step": 3, "buffer": 23}, "does not hold 3 steps of 8 robots"),
+        ({"algorithm": "sac", "weight_norm": True}, "sac does not have weight_norm"),
     ],
 )
 def test_settings_are_checked(wrong, message):
     """Settings that cannot work are refused by name."""
     with pytest.raises(UsageError, match=message):
         Settings(**wrong)
+
+
+@pytest.mark.parametrize(
+    ("ends", "message"),
+    [
+        ({"steps": -5}, "--steps is -5: expected 1"),
+        ({"steps": 0}, "--steps is 0"),
+        ({"minutes": float("nan")}, "--minutes is nan: expected more than 0"),
+        ({"minutes": float("inf")}, "--minutes is inf"),
+        ({"minutes": 0.0}, "--minutes is 0"),
+        ({"until_success": float("nan")}, "--until-success is nan"),
+    ],
+)
+def test_ends_that_never_come_are_refused(plan, ends, message):
+    """So are those that are there before a run begins."""
+    with pytest.raises(UsageError, match=message):
+        replace(plan, **{"steps": None, **ends})
+
+
+def test_wrong_ends_of_a_run_folder_are_its_fault(trained):
+    """What run.yaml says is no mistake on the command line."""
+    path = trained.out / "run.yaml"
+    path.write_text(path.read_text().replace("\nsteps: 240\n", "\nsteps: -5\n"))
+    with pytest.raises(InputError, match="--steps is -5"):
+        plan_of(trained.out)
