@@ -14,6 +14,7 @@ from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.utils import update_learning_rate
 
 from frasa_rl.batches import Batches
+from frasa_rl.crossq_bind import Norms, norms_of
 from frasa_rl.crossq_cpu import Data
 from frasa_rl.crossq_gpu import Device
 from frasa_rl.crossq_processor import Processor
@@ -46,8 +47,13 @@ class FastCrossQ(CrossQ):
         weight_norm: keep each hidden layer's weight at its first Frobenius norm (CrossQ + WN, arXiv 2502.07523): batch
             normalisation after it makes its length meaningless, but as it grows steps of a given size turn it less.
         more: sb3-contrib's arguments.
+
+    Attributes:
+        norms: those first norms, as `norms_of` says them; None until it learns, and without `weight_norm`. Weights that
+            have learned have them but for rounding, so that a model that goes on needs these.
     """
 
+    norms: dict[str, Norms] | None = None
     _learner: Processor | Device | None = None
     _engines: ClassVar[dict[str, type[Processor] | type[Device]]] = {"cpu": Processor, "cuda": Device}
 
@@ -167,7 +173,9 @@ class FastCrossQ(CrossQ):
         data = self._checked(batches)
         size = data[0].shape[1]
         if self._learner is None or self._learner.batch != size:
-            self._learner = self._engines[self.device.type](self, size, self.weight_norm)
+            if self.weight_norm and self.norms is None:
+                self.norms = norms_of(self)
+            self._learner = self._engines[self.device.type](self, size, self.norms)
         losses = self._learner.run(data, self._n_updates)
         self._n_updates += len(losses)
         known = [column[~np.isnan(column)] for column in losses.T]

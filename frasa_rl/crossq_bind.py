@@ -4,12 +4,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import torch
+from sb3_contrib import CrossQ
 from sb3_contrib.common.torch_layers import BatchRenorm1d
 
 from frasa_rl.crossq_net import BIAS, IN, SCALE, SHIFT, STATISTIC, WEIGHT, Net, network
 
 Layer = tuple[BatchRenorm1d, list[torch.nn.Linear]]
 View = tuple[Any, str, torch.Tensor]
+Norms = list[list[float]]  # of a weight each, by network and layer
 _STATE = ("step", "exp_avg", "exp_avg_sq")  # of torch's Adam
 
 
@@ -19,6 +21,24 @@ def layers_of(modules: Iterable[torch.nn.Module], heads: Sequence[torch.nn.Linea
     norms = [module for module in given if isinstance(module, BatchRenorm1d)]
     linear = [[module] for module in given if isinstance(module, torch.nn.Linear)]
     return list(zip(norms, [*linear, list(heads)] if heads else linear, strict=True))
+
+
+def networks_of(model: CrossQ) -> dict[str, list[list[Layer]]]:
+    """The layers of a model's actor and of its critics."""
+    actor: Any = model.actor
+    critics: Iterable[Any] = model.critic.q_networks
+    return {
+        "actor": [layers_of(actor.latent_pi, [actor.mu, actor.log_std])],
+        "critic": [layers_of(net) for net in critics],
+    }
+
+
+def norms_of(model: CrossQ) -> dict[str, Norms]:
+    """The Frobenius norm of each weight that a batch renormalisation follows, as it is now."""
+    return {
+        name: [[float(heads[0].weight.detach().norm()) for _, heads in layers[:-1]] for layers in networks]
+        for name, networks in networks_of(model).items()
+    }
 
 
 def bind(optimizer: torch.optim.Optimizer, views: Iterable[View]) -> bool:
@@ -92,11 +112,9 @@ class Bound:
         """Put views of our arrays where torch has tensors of its own, with the same numbers."""
         bind(self.optimizer, self.views)
 
-    def keep_norms(self) -> None:
-        """From now on keep the Frobenius norm of each weight that a batch renormalisation follows."""
-        for c, layers in enumerate(self.stacked):
-            for layer, (_, heads) in enumerate(layers[:-1]):
-                self.net.radius[c, layer] = float(heads[0].weight.detach().norm())
+    def keep_norms(self, norms: Norms) -> None:
+        """From now on each weight that a batch renormalisation follows has this Frobenius norm."""
+        self.net.radius[:, :-1] = norms
 
     @property
     def step(self) -> float:

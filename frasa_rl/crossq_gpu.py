@@ -5,14 +5,14 @@ that stay where they are), but `_Graph` itself has not run on a GPU yet.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import torch
 from sb3_contrib import CrossQ
 
-from frasa_rl.crossq_bind import View, bind, layers_of
+from frasa_rl.crossq_bind import Norms, View, bind, networks_of
 from frasa_rl.crossq_cpu import ACTOR_LOSS, CRITIC_LOSS, ENTROPY, ENTROPY_LOSS, Data, Numbers
 from frasa_rl.crossq_stack import Stack, adam
 
@@ -29,15 +29,14 @@ class Device:
     Args:
         model: its actor's, its critics' and their optimizers' tensors become views.
         batch: transitions an update.
-        weight_norm: keep the Frobenius norms that weights of hidden layers have now.
+        norms: Frobenius norms that weights of hidden layers are kept at, as `norms_of` says them; None for free ones.
     """
 
-    def __init__(self, model: CrossQ, batch: int, weight_norm: bool) -> None:
-        actor: Any = model.actor
-        critics: Sequence[Any] = model.critic.q_networks
+    def __init__(self, model: CrossQ, batch: int, norms: Mapping[str, Norms] | None) -> None:
+        networks = networks_of(model)
         self._model, self.batch = model, batch
-        self.actor = Stack([layers_of(actor.latent_pi, [actor.mu, actor.log_std])], model.actor.optimizer)
-        self.critic = Stack([layers_of(net) for net in critics], model.critic.optimizer)
+        self.actor = Stack(networks["actor"], model.actor.optimizer)
+        self.critic = Stack(networks["critic"], model.critic.optimizer)
         leaf = self.critic.leaves[0]
         self.kind, self.device = leaf.dtype, leaf.device
         self.log_alpha, self.alpha_first, self.alpha_second = (
@@ -47,8 +46,9 @@ class Device:
         self.alpha_rate = torch.zeros((), dtype=torch.double, device=self.device)
         self._graph: _Graph | None = None
         self._bind()
-        for stack in (self.actor, self.critic) if weight_norm else ():
-            stack.keep_norms()
+        for name, stack in (("actor", self.actor), ("critic", self.critic)):
+            if norms is not None:
+                stack.keep_norms(norms[name])
 
     def _bind(self) -> None:
         """Take over tensors that were loaded since the last call; a graph of others is of no use."""

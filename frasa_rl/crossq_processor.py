@@ -1,6 +1,6 @@
 """The learner on a processor: torch's tensors on one side, the compiled updates on the other."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy.typing as npt
 import torch
 from sb3_contrib import CrossQ
 
-from frasa_rl.crossq_bind import Bound, layers_of
+from frasa_rl.crossq_bind import Bound, Norms, networks_of
 from frasa_rl.crossq_cpu import Data, Rules, updates
 from frasa_rl.crossq_disk import fill
 from frasa_rl.crossq_squash import room
@@ -24,22 +24,22 @@ class Processor:
     Args:
         model: its actor's, its critics' and their optimizers' tensors become views.
         batch: transitions an update.
-        weight_norm: keep the Frobenius norms that weights of hidden layers have now.
+        norms: Frobenius norms that weights of hidden layers are kept at, as `norms_of` says them; None for free ones.
     """
 
-    def __init__(self, model: CrossQ, batch: int, weight_norm: bool) -> None:
+    def __init__(self, model: CrossQ, batch: int, norms: Mapping[str, Norms] | None) -> None:
         actor: Any = model.actor
-        critics: Sequence[Any] = model.critic.q_networks
+        networks = networks_of(model)
         self._model, self.batch = model, batch
-        self.actor = Bound([layers_of(actor.latent_pi, [actor.mu, actor.log_std])], model.actor.optimizer, batch)
-        self.critic = Bound([layers_of(net) for net in critics], model.critic.optimizer, 2 * batch)
+        self.actor = Bound(networks["actor"], model.actor.optimizer, batch)
+        self.critic = Bound(networks["critic"], model.critic.optimizer, 2 * batch)
         widest = max(int(bound.net.table[:, :2].max()) for bound in (self.actor, self.critic))
         self.dtype = self.actor.net.values.dtype
         self._room = room(batch, actor.mu.out_features, widest, self.dtype)
-        for bound in (self.actor, self.critic):
+        for name, bound in (("actor", self.actor), ("critic", self.critic)):
             bound.bind()
-            if weight_norm:
-                bound.keep_norms()
+            if norms is not None:
+                bound.keep_norms(norms[name])
 
     def run(self, data: Data, done: int) -> Losses:
         """All updates that the arrays hold.

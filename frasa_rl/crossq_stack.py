@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from frasa_rl.crossq_bind import Layer, View, bind
+from frasa_rl.crossq_bind import Layer, Norms, View, bind
 
 _MOST_RATIO, _MOST_SHIFT = 3.0, 5.0  # rmax and dmax of sb3-contrib
 _PARTS = ("scale", "shift", "weight", "bias")
@@ -100,9 +100,10 @@ class Stack:
         """Put views of our tensors where torch has others, with the same numbers; whether there was any."""
         return bind(self.optimizer, self.views)
 
-    def keep_norms(self) -> None:
-        """From now on keep the Frobenius norm of each weight that a batch renormalisation follows."""
-        self.lengths = [layer.weight.detach().norm(dim=(1, 2), keepdim=True) for layer in self.layers[:-1]]
+    def keep_norms(self, norms: Norms) -> None:
+        """From now on each weight that a batch renormalisation follows has this Frobenius norm."""
+        like = self.layers[0].weight.detach()
+        self.lengths = [like.new_tensor(column).view(-1, 1, 1) for column in zip(*norms, strict=True)]
 
     def __call__(self, x: torch.Tensor, training: bool) -> torch.Tensor:
         """Outputs, shape (C, N, outputs), of inputs of shape (N, inputs) or (C, N, inputs)."""

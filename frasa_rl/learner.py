@@ -18,10 +18,11 @@ from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from frasa_rl.actor import ActorLayers, Layer
 from frasa_rl.batches import Batches
 from frasa_rl.crossq import FastCrossQ
+from frasa_rl.crossq_bind import Norms, norms_of
 from frasa_rl.observation import Observation
 from frasa_rl.policy import Array
 from frasa_rl.settings import Settings
-from frasa_rl.snapshots import Arrays
+from frasa_rl.snapshots import Arrays, nested, part
 from frasa_sysid.calibration import UsageError
 
 
@@ -154,17 +155,28 @@ class Sb3Learner:
         return {
             "updates": np.array(self.updates),
             "log_ent_coef": self._entropy().detach().cpu().numpy().copy(),
+            **nested("norms", {name: np.array(one) for name, one in (self._norms() or {}).items()}),
             **random,
         }
 
     def restore(self, kept: Mapping[str, np.ndarray[Any, Any]]) -> None:
-        """The other way round."""
+        """The other way round.
+
+        Raises:
+            ValueError: it is of other networks.
+        """
+        if isinstance(self.model, FastCrossQ):  # older checkpoints have no norms: they become those of the weights now
+            self.model.norms = _checked(part("norms", kept), norms_of(self.model)) if self.model.weight_norm else None
         self.model._n_updates = int(kept["updates"])
         with torch.no_grad():
             self._entropy().copy_(torch.as_tensor(kept["log_ent_coef"]))
         torch.set_rng_state(torch.as_tensor(kept["torch_random"]))
         if self.model.device.type == "cuda" and "cuda_random" in kept:
             torch.cuda.set_rng_state(torch.as_tensor(kept["cuda_random"]), self.model.device)
+
+    def _norms(self) -> dict[str, Norms] | None:
+        """What `weight_norm` keeps."""
+        return self.model.norms if isinstance(self.model, FastCrossQ) else None
 
     def _entropy(self) -> torch.Tensor:
         """The logarithm of the coefficient, which adapts in all that `build` makes."""
@@ -206,6 +218,20 @@ def build(settings: Settings, bound: Observation, joints: int, device: str) -> L
     nets |= {"renorm_warmup_steps": settings.renorm_warmup, "optimizer_kwargs": {"betas": (0.5, 0.999), "fused": True}}
     common |= {"policy_delay": settings.policy_delay, "weight_norm": settings.weight_norm}
     return Sb3Learner(FastCrossQ("MlpPolicy", env, policy_kwargs=nets, **common))
+
+
+def _checked(kept: Arrays, now: dict[str, Norms]) -> dict[str, Norms] | None:
+    """Kept norms, which are those of the weights now but for rounding; None for none.
+
+    Raises:
+        ValueError: they are not.
+    """
+    if not kept:
+        return None
+    for name, norms in now.items():
+        if np.shape(kept[name]) != np.shape(norms) or not np.allclose(kept[name], norms, rtol=1e-2):
+            raise ValueError(f"the norms of the {name}'s weights are not those of its weights")
+    return {name: kept[name].tolist() for name in now}
 
 
 def _folded(module: torch.nn.Linear, gain: np.ndarray[Any, Any], offset: np.ndarray[Any, Any]) -> Layer:

@@ -14,6 +14,7 @@ import pytest
 
 pytest.importorskip("sb3_contrib")
 
+from frasa_rl.checkpoint import CheckpointError
 from frasa_rl.compat2024 import compat_task
 from frasa_rl.config import Task
 from frasa_rl.curriculum import Shares
@@ -67,7 +68,7 @@ def unbroken(robot_model_dir, tmp_path_factory):
 def numbers(table, run, times):
     """All rows but the columns of time."""
     kept = [i for i, name in enumerate(table.columns) if name not in times]
-    return np.array(table.read(run))[:, kept]
+    return np.array(table.read(run)).reshape(-1, len(table.columns))[:, kept]
 
 
 def assert_same_run(one, other):
@@ -148,6 +149,26 @@ def test_other_settings_resume_too(unbroken, tmp_path, changes):
     train(plan_of(plan.out).until(480, None), resume=True)
     a, b = (Policy.load(one.out / "latest") for one in (whole, plan))
     np.testing.assert_array_equal(a.layers[0][0], b.layers[0][0])
+
+
+def test_norms_are_those_of_the_first_weights(unbroken, tmp_path):
+    """Not of those a checkpoint has, others by rounding; one without norms is resumed as well as it can be."""
+    plan = replace(unbroken, out=tmp_path / "run", settings=replace(TINY, weight_norm=True, evaluate_steps=0))
+    whole = replace(plan, out=tmp_path / "whole")
+    train(whole.until(480, None))
+    for steps in (32, 240, 480):  # before there are norms, and after
+        train(plan.until(steps, None), resume=steps > 32)
+    assert_same_run(whole.out, plan.out)
+    (checkpoint,) = (plan.out / "checkpoints").iterdir()
+    with np.load(checkpoint / "state.npz") as file:
+        state = dict(file)
+    norms = state["learner.norms.critic"]
+    assert norms.shape == (2, 2)
+    np.savez(checkpoint / "state.npz", **{**state, "learner.norms.critic": 2.0 * norms})
+    with pytest.raises(CheckpointError, match="norms of the critic's weights"):
+        train(plan.until(512, None), resume=True)
+    np.savez(checkpoint / "state.npz", **{name: one for name, one in state.items() if ".norms." not in name})
+    assert train(plan.until(512, None), resume=True)["steps"] == 512
 
 
 class Widening(Shares):
