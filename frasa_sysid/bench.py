@@ -7,7 +7,7 @@ from pathlib import Path
 from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.hold_out import split
 from frasa_sysid.logged_servo import servo_name
-from frasa_sysid.pieces import segments
+from frasa_sysid.pieces import in_pieces
 from frasa_sysid.problem import FitProblem, state_problem, stated_servo
 from frasa_sysid.recording import Recording, Signal
 from frasa_sysid.rig import BenchRun, runs_of
@@ -69,11 +69,13 @@ class Bench:
             shooting: length of the pieces that each run is cut into [s]; not cut by default.
         """
         step = session.options.timestep
-        prepared = []
-        for recordings in (self.train, self.held_out):
-            runs = runs_of([_shortened(one, first) for one in recordings], self.servo, step)
-            prepared.append([piece for run in runs for piece in (segments(run, shooting, step) if shooting else [run])])
-        return prepared[0], prepared[1]
+        train, held_out = (
+            runs_of([_shortened(one, first) for one in recordings], self.servo, step)
+            for recordings in (self.train, self.held_out)
+        )
+        if shooting is None:
+            return train, held_out
+        return in_pieces(train, shooting, step), in_pieces(held_out, shooting, step, len(train))
 
     def problem(
         self,

@@ -7,6 +7,7 @@ import numpy as np
 
 from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.finish import finish
+from frasa_sysid.pieces import independent
 from frasa_sysid.problem import FitProblem
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.spread import Spread
@@ -27,8 +28,9 @@ def full_bootstrap(
         spread: does the draws side by side.
     """
     rng = np.random.default_rng((problem.seed, 11))
-    count = len(problem.train)
-    tasks = [tuple(int(i) for i in rng.integers(0, count, count)) for _ in range(draws)]
+    logs = independent(problem.train)
+    drawn = [rng.integers(0, len(logs), len(logs)) for _ in range(draws)]
+    tasks = [tuple(i for log in one for i in logs[int(log)]) for one in drawn]
     x = np.clip(problem.to_unit(values), 0.0, 1.0)
     found = spread.map(partial(_draw, problem=problem, session=session, x=x), tasks)
     low, high = np.quantile(np.array(found), (0.025, 0.975), axis=0)

@@ -17,6 +17,7 @@ from frasa_sysid.bench_session import BenchSession
 from frasa_sysid.calibration.friction import LAWS
 from frasa_sysid.finish import finish
 from frasa_sysid.fit import ladder, misfits, with_law
+from frasa_sysid.pieces import independent
 from frasa_sysid.problem import FitProblem, possible, several_loads
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.restarts import Solved, Tell, point_of, solve
@@ -145,7 +146,7 @@ def folds_of(runs: Sequence[BenchRun]) -> list[Fold]:
             found += _merged(kind, groups)
     if not found and len(runs) > 1:
         # One rig, one gain, one trajectory: repetitions are all there is to hold out.
-        groups = {run.name: [i] for i, run in enumerate(runs)}
+        groups = {runs[log[0]].name: log for log in independent(runs)}
         found = _merged("run", groups)
     return found
 

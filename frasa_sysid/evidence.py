@@ -15,6 +15,8 @@ Slopes are those over an ensemble that raises the cost by a few per cent (`ensem
 rough, difference quotients at one point are steeper than what the logs can tell, and intervals too narrow.
 With few logs B cannot have full rank; then the spread of the residuals with one effective sample
 per `CORRELATION_TIME` is used where it is larger.
+Of logs in pieces (`shooting`) the :math:`A_l` and :math:`g_l` are sums over the pieces of log l; only
+where there is one log its pieces stand for logs, and intervals are too narrow by what they share.
 Beside it stands a bootstrap over logs (`resampling`).
 """
 
@@ -27,6 +29,7 @@ from scipy import stats
 from frasa_sysid.bench_kernel import BenchKernel
 from frasa_sysid.free_parameter import FreeParameter
 from frasa_sysid.linearised import even_spread, linearise
+from frasa_sysid.pieces import independent
 from frasa_sysid.problem import FitProblem
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.resampling import Profile, leave_one_out, one_step_bootstrap, profile_likelihoods, worst_pairs
@@ -154,23 +157,29 @@ def evidence(problem: FitProblem, kernel: BenchKernel, values: FloatArray) -> Ev
     """
     x = problem.to_unit(values)
     found = linearise(problem, kernel, x, even_spread(problem, kernel, x))
-    curvatures, gradients, spread = found.curvatures, found.gradients, found.spread
+    logs, spread = independent(problem.train), found.spread
+    curvatures, gradients = _summed(found.curvatures, logs), _summed(found.gradients, logs)
     A = np.sum(curvatures, axis=0)
     inverse, silent = _inverse(A, spread)
     covariance = _covariance(inverse, silent, leave_one_out(A, silent, curvatures, gradients), spread)
-    quantile = float(stats.t.ppf(0.975, max(len(problem.train) - 1, 1)))
+    quantile = float(stats.t.ppf(0.975, max(len(logs) - 1, 1)))
     half = quantile * np.sqrt(np.diag(covariance))
     correlation = _correlation(covariance)
     # How wide each interval would be if all the other numbers were known.
     alone = np.minimum(half, quantile * np.sqrt(_noise(A, spread) / np.maximum(np.diag(A), 1e-300)))
     estimates = tuple(_estimate(problem, i, x, half[i], alone[i], correlation[i]) for i in range(len(problem.free)))
-    spread_of_groups = _leave_out_spread(problem, x, inverse, gradients)
+    spread_of_groups = _leave_out_spread(problem, x, inverse, found.gradients)
     draws = one_step_bootstrap(x, curvatures, gradients, inverse, silent, problem.seed)
     limits = np.quantile(draws, (0.025, 0.975), axis=0)
     interval = np.column_stack([problem.from_unit(limits[0]), problem.from_unit(limits[1])])
     pairs = worst_pairs(correlation, half)
     profiles = profile_likelihoods(problem, kernel, x, A, half, pairs)
     return Evidence(estimates, correlation, spread_of_groups, interval, profiles)
+
+
+def _summed(parts: Sequence[FloatArray], logs: Sequence[Sequence[int]]) -> list[FloatArray]:
+    """What runs contribute, summed over those of each log."""
+    return [np.sum([parts[i] for i in log], axis=0) for log in logs]
 
 
 def _noise(A: FloatArray, spread: FloatArray) -> float:

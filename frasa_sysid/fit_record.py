@@ -16,6 +16,7 @@ from frasa_sysid.effects import EFFECTS
 from frasa_sysid.evidence import IDENTIFIED, ROUGH
 from frasa_sysid.fit import FitResult
 from frasa_sysid.fit_json import SCHEMA
+from frasa_sysid.pieces import by_log
 from frasa_sysid.readout import SEPARATED, Readout
 from frasa_sysid.recording import FloatArray, Recording
 from frasa_sysid.resampling import Profile
@@ -80,7 +81,7 @@ def to_json(result: FitResult, extras: Extras) -> dict[str, Any]:
         },
         "by_run": {"fitted": result.fitted.by_run, "held_out": result.held_out.by_run},
         "hold_out": problem.hold_out_rule,
-        "runs": {"train": len(problem.train), "held_out": len(problem.held_out)},
+        "runs": {"train": len(by_log(problem.train)), "held_out": len(by_log(problem.held_out))},
         "restarts": [{"start": one.start, "cost_rad": one.cost} for one in result.solved.restarts],
         "multimodal": result.solved.multimodal,
         "stop": result.stop.name.lower(),
@@ -92,6 +93,8 @@ def to_json(result: FitResult, extras: Extras) -> dict[str, Any]:
         "inputs": result.inputs,
         "versions": result.versions,
     }
+    if any(run.log >= 0 for run in problem.train):
+        data["pieces"] = {"train": len(problem.train), "held_out": len(problem.held_out)}
     if extras.choice is not None:
         data["choice"] = _choice(extras.choice)
     if extras.stand_in is not None:

@@ -1,5 +1,6 @@
-"""A bench run cut into pieces that start from measured states."""
+"""A bench run cut into pieces that start from measured states, and which pieces are of one log."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -7,6 +8,50 @@ import numpy as np
 
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.rig import START_SAMPLES, BenchRun
+
+ONE_LOG = (
+    "All pieces are of one log, so they were left out one by one; they share what is wrong in it, and the intervals "
+    "are too narrow by that. Record a second log."
+)
+
+
+def in_pieces(runs: Sequence[BenchRun], seconds: float, timestep: float, first_log: int = 0) -> list[BenchRun]:
+    """Whole runs cut into pieces that know their log; see `segments`.
+
+    Args:
+        runs: whole recordings.
+        seconds: length of a piece [s], about.
+        timestep: of the grid [s].
+        first_log: number of the first one's log.
+    """
+    logs = enumerate(runs, first_log)
+    return [replace(piece, log=log) for log, run in logs for piece in segments(run, seconds, timestep)]
+
+
+def by_log(runs: Sequence[BenchRun]) -> list[list[int]]:
+    """Which runs are of one log: indices, the logs in the order of their first run."""
+    found: dict[int, list[int]] = {}
+    for i, run in enumerate(runs):
+        found.setdefault(run.log if run.log >= 0 else -1 - i, []).append(i)
+    return list(found.values())
+
+
+def independent(runs: Sequence[BenchRun]) -> list[list[int]]:
+    """Which runs are left out or drawn together: those of one log, or each piece alone where there is only one log."""
+    logs = by_log(runs)
+    return logs if len(logs) > 1 else [[i] for i in range(len(runs))]
+
+
+def count_of(runs: Sequence[BenchRun]) -> str:
+    """How many logs, and how many pieces of them, in words."""
+    logs = len(by_log(runs))
+    words = f"{logs} run" if logs == 1 else f"{logs} runs"
+    return words if logs == len(runs) else f"{words} in {len(runs)} pieces"
+
+
+def one_log_in_pieces(runs: Sequence[BenchRun]) -> bool:
+    """Whether there is no more than one log, so that its pieces stand for logs."""
+    return len(runs) > 1 and len(by_log(runs)) == 1
 
 
 def segments(run: BenchRun, seconds: float, timestep: float, lead: float = 0.1) -> list[BenchRun]:

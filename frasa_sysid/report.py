@@ -13,6 +13,7 @@ from frasa_sysid.calibration.figures import has_matplotlib, image, look
 from frasa_sysid.calibration.page import Html, join, page, section, tag
 from frasa_sysid.fit import FitResult, nominal_candidate, simulated
 from frasa_sysid.fit_record import Extras
+from frasa_sysid.pieces import count_of
 from frasa_sysid.report_figures import Trace
 from frasa_sysid.report_residuals import error_picture, residual_picture
 from frasa_sysid.rig import BenchRun
@@ -45,7 +46,7 @@ def write_fit_report(
     traces = [Trace(run, {"nominal": a, "fitted": b}) for run, a, b in zip(runs, nominal, fitted, strict=True)]
     with look():
         parts = _parts(result, extras, traces, beforehand)
-    write_atomic(path, page(f"{problem.servo.name}: fit of {len(problem.train)} runs", parts))
+    write_atomic(path, page(f"{problem.servo.name}: fit of {count_of(problem.train)}", parts))
     return path
 
 

@@ -11,6 +11,7 @@ from frasa_sysid.evidence import Estimate
 from frasa_sysid.fit import FitResult
 from frasa_sysid.fit_record import Extras, torque_off
 from frasa_sysid.free_parameter import FreeParameter
+from frasa_sysid.pieces import ONE_LOG, count_of, one_log_in_pieces
 from frasa_sysid.recording import FloatArray
 from frasa_sysid.search import Stop
 from frasa_sysid.stand_in import StandIn
@@ -55,11 +56,11 @@ def summary(result: FitResult, extras: Extras) -> Html:
     effects = [f"{name}, {EFFECTS[name].meaning}" for name in problem.effects]
     words = f"Servo {problem.servo.name}, friction law {result.friction.upper()}: {LAW_NAMES[result.friction]}."
     words += f" Beside it: {'; '.join(effects)}." if effects else ""
-    words += f" {len(problem.free)} numbers were fitted to {_runs(len(problem.train))} of {extras.origin} logs."
+    words += f" {len(problem.free)} numbers were fitted to {count_of(problem.train)} of {extras.origin} logs."
     words += f" {_TORQUE_OFF[torque_off(result)]}"
     found = [_card("runs it was fitted to", result.nominal.mae_rad, result.fitted.mae_rad)]
     if problem.held_out:
-        title = f"{_runs(len(problem.held_out))} held out ({problem.hold_out_rule})"
+        title = f"{count_of(problem.held_out)} held out ({problem.hold_out_rule})"
         found.append(_card(title, result.held_out_nominal.mae_rad, result.held_out.mae_rad))
     known = sum(one.verdict == "identified" for one in result.evidence.estimates)
     found.append(card("numbers identified", f"{known} of {len(result.evidence.estimates)}"))
@@ -84,6 +85,8 @@ def _warnings(result: FitResult, extras: Extras) -> list[Html]:
         )
     if result.stop is Stop.INTERRUPTED:
         found.append("This fit was interrupted: its numbers are the best so far, not the answer.")
+    if one_log_in_pieces(result.problem.train):
+        found.append(ONE_LOG)
     if extras.delay_doubt:
         found.append(f"{extras.delay_doubt[:1].upper()}{extras.delay_doubt[1:]}.")
     return [warning(text) for text in found]

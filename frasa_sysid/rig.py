@@ -47,6 +47,7 @@ class BenchRun:
         y: measured angle [rad], shape (T,).
         rest: supply under the least load over the one that the scales are for.
         free_start: the start is fitted too (pieces of a longer run).
+        log: number of the log that a piece is of; -1 for a log that is whole, a number no other has.
         step, weight: position of each measured time on the grid: between states `step` and
             `step` + 1, `weight` of the way, shape (T,).
     """
@@ -73,6 +74,7 @@ class BenchRun:
     weight: FloatArray
     rest: float = 1.0
     free_start: bool = False
+    log: int = -1
 
     @property
     def steps(self) -> int:

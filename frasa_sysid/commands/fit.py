@@ -27,6 +27,7 @@ from frasa_sysid.fit import FitResult, fit
 from frasa_sysid.fit_json import read_json
 from frasa_sysid.fit_record import Extras, log_facts, save, to_json
 from frasa_sysid.identifiability import bench_findings, next_logs
+from frasa_sysid.pieces import count_of
 from frasa_sysid.publish import PATIENCE_S, find_fits
 from frasa_sysid.published_place import check_ranges_free
 from frasa_sysid.readout import LONGEST_AGE, disagreement, separate
@@ -155,7 +156,7 @@ def _fit_with_progress(
 
         def tell(stage: str, count: int, best: float) -> None:
             text = f"{count} evaluations, best {best * 1e3:.2f} mrad"
-            progress.update(task, description=f"{bench.servo.name}: {len(problem.train)} runs, {stage}", best=text)
+            progress.update(task, description=f"{bench.servo.name}: {count_of(problem.train)}, {stage}", best=text)
 
         choice = None
         if args.friction == "auto" or effects is None:

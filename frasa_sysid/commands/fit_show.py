@@ -8,6 +8,7 @@ from frasa_sysid.commands.bench import people_console
 from frasa_sysid.effects import EFFECTS
 from frasa_sysid.fit import FitResult
 from frasa_sysid.fit_record import Extras
+from frasa_sysid.pieces import ONE_LOG, count_of, one_log_in_pieces
 
 
 def show(result: FitResult, extras: Extras) -> None:
@@ -42,11 +43,14 @@ def show(result: FitResult, extras: Extras) -> None:
         )
     errors = f"mean error {result.nominal.mae_rad * 1e3:.2f} mrad nominal, {result.fitted.mae_rad * 1e3:.2f} fitted"
     if result.problem.held_out:
+        held_out = count_of(result.problem.held_out).replace(" run", " held-out run")
         errors += (
-            f"; on {len(result.problem.held_out)} held-out runs {result.held_out_nominal.mae_rad * 1e3:.2f} nominal, "
+            f"; on {held_out} {result.held_out_nominal.mae_rad * 1e3:.2f} nominal, "
             f"{result.held_out.mae_rad * 1e3:.2f} fitted"
         )
     console.print(errors)
+    if one_log_in_pieces(result.problem.train):
+        console.print(f"[yellow]one log[/yellow]: {ONE_LOG}")
     if result.solved.multimodal:
         costs = ", ".join(f"{one.cost * 1e3:.2f}" for one in result.solved.restarts if one.start.startswith("seed"))
         console.print(f"[yellow]multimodal[/yellow]: searches ended at costs of {costs} mrad; the lowest is kept")

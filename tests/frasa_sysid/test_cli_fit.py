@@ -169,7 +169,8 @@ def test_a_fit_with_everything(place, capsys):
     result = json.loads(capsys.readouterr().out)
     assert (result["friction"], result["effects"], result["bootstrap_draws"]) == ("m2", ["sag", "punch"], 3)
     assert len(result["not_in_model"]) == 2
-    assert result["runs"] == {"train": 12, "held_out": 0}
+    assert result["runs"] == {"train": 4, "held_out": 0}
+    assert result["pieces"] == {"train": 12, "held_out": 0}
     assert sorted(one["start"] for one in result["restarts"]) == ["nested", "seed 0", "seed 1"]
     names = {"mx64.stribeck", "mx64.stribeck_speed", "mx64.stribeck_exponent", "mx64.punch", "bench.sag"}
     assert result["parameters"].keys() >= names

@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 
 from frasa_sysid.bench_session import BenchSession
+from frasa_sysid.bootstrap import full_bootstrap
 from frasa_sysid.calibration import run_command
 from frasa_sysid.cli import build_parser
 from frasa_sysid.evidence import IDENTIFIED, ROUGH, evidence
 from frasa_sysid.fit import fit
-from frasa_sysid.pieces import segments
+from frasa_sysid.pieces import by_log, count_of, in_pieces, independent, one_log_in_pieces, segments
 from frasa_sysid.problem import state_problem, stated_servo
 from frasa_sysid.rig import BenchRun
 from frasa_sysid.shooting import shoot, without_starts
+from frasa_sysid.spread import Spread
 
 STEP = 0.001  # [s] of the fit
 FINE = 5e-5  # [s] of the truth
@@ -82,7 +84,7 @@ def values_of(problem, x):
 
 @pytest.mark.parametrize("gravity", [0.0, 1.5])
 def test_what_diverges_is_recovered_in_pieces(known, session, gravity):
-    runs = [measured(seed, gravity) for seed in (1, 2, 3)]
+    runs = [measured(seed, gravity, seconds=3.0) for seed in range(1, 7)]
     whole = problem_of(known, runs)
     # With the true numbers, but for the sensor's error, the replayed force leads a long way from what was measured.
     kernel = session.kernel(runs)
@@ -90,8 +92,7 @@ def test_what_diverges_is_recovered_in_pieces(known, session, gravity):
     far = kernel.readings(whole.candidates(whole.to_unit(plain)[None]))[0] - np.concatenate([run.y for run in runs])
     assert np.nanmax(np.abs(far)) > (0.1 if gravity == 0.0 else 1.0)
 
-    pieces = [piece for run in runs for piece in segments(run, PIECE, STEP)]
-    problem = problem_of(known, pieces)
+    problem = problem_of(known, in_pieces(runs, PIECE, STEP))
     result = fit(problem, session, {}, evaluations=60, restarts=1)
     found = {one.name.partition(".")[2]: one for one in result.evidence.estimates}
     for field, value in TRUTH.items():
@@ -106,7 +107,7 @@ def test_what_diverges_is_recovered_in_pieces(known, session, gravity):
 def pieces(known, session):
     """Upside down, with starts that are off by far more than the noise."""
     rng = np.random.default_rng(9)
-    cut = [piece for seed in (1, 2) for piece in segments(measured(seed, 1.5), PIECE, STEP)]
+    cut = in_pieces([measured(seed, 1.5) for seed in (1, 2)], PIECE, STEP)
     return [replace(one, q0=one.q0 + rng.normal(0.0, 0.003), dq0=one.dq0 + rng.normal(0.0, 0.1)) for one in cut]
 
 
@@ -172,6 +173,59 @@ def test_free_starts_make_intervals_wider(known, session, pieces):
         assert np.linalg.norm(new) < np.linalg.norm(old), run.name
     again = without_starts(problem, kernel, shot.x, kept)
     assert max(np.abs(a - b).max() for a, b in zip(kept, again, strict=True)) < 1e-9
+
+
+def test_pieces_know_their_log(pieces):
+    """Also by the names that logs of two folders may share; what is whole is a log of its own."""
+    whole = [measured(seed, 0.0, seconds=0.5) for seed in (1, 1, 2)]
+    cut = in_pieces(whole, 0.1, STEP, first_log=4)
+    assert [run.log for run in cut] == [4] * 5 + [5] * 5 + [6] * 5
+    assert by_log(cut[::-1]) == independent(cut[::-1]) == [[0, 1, 2, 3, 4], [5, 6, 7, 8, 9], [10, 11, 12, 13, 14]]
+    assert by_log([*whole, *cut[:2]]) == [[0], [1], [2], [3, 4]]
+    assert (count_of(cut), count_of(whole), count_of(whole[:1])) == ("3 runs in 15 pieces", "3 runs", "1 run")
+    # Of one log nothing is left to leave out but its pieces.
+    assert independent(cut[:5]) == [[0], [1], [2], [3], [4]]
+    assert [one_log_in_pieces(some) for some in (cut[:5], cut, whole[:1], whole)] == [True, False, False, False]
+    assert segments(whole[0], 0.1, STEP)[0].log == -1
+    assert len(by_log(pieces)) == 2
+
+
+def test_pieces_of_one_log_are_left_out_together(kit):
+    """A damping that is another one in every log is seen by the intervals; taking pieces for logs hides half of it."""
+    plans = [kit.Plan(mass=mass, gain=gain, seed=i) for i, (mass, gain) in enumerate([(0.5, 16.0), (1.2, 8.0)] * 3)]
+    shares = (0.9, 0.9, 1.1, 1.1, 0.9, 0.9)
+    odd = [
+        replace(plan, truth={**kit.truth, "damping": share * kit.truth["damping"]})
+        for plan, share in zip(plans, shares, strict=True)
+    ]
+    cut = in_pieces(kit.runs([kit.recording(plan, f"r{i}") for i, plan in enumerate(odd)]), 0.8, kit.timestep)
+    widths = []
+    for train in (cut, [replace(one, log=-1) for one in cut]):
+        problem = kit.problem(train)
+        values = np.array([kit.truth[one.field] for one in problem.free])
+        found = evidence(problem, kit.session.kernel(train), values).estimates
+        widths += [one.high - one.low for one in found if one.name == "mx106.damping"]
+    assert widths[0] > 1.5 * widths[1]
+
+
+def test_pieces_of_one_log_are_drawn_together(known, session, pieces):
+    """Every draw of the full bootstrap holds whole logs; of one log its pieces."""
+    problem = problem_of(known, pieces)
+    drawn = []
+
+    class Recorder(Spread):
+        def map(self, work, tasks):
+            drawn.extend(tasks)
+            return [problem.start_values() for _ in tasks]
+
+    for train in (tuple(pieces), tuple(one for one in pieces if one.log == 0)):
+        drawn.clear()
+        full_bootstrap(replace(problem, train=train), session, problem.start_values(), 20, Recorder())
+        logs = independent(train)
+        assert len(drawn) == 20
+        for one in drawn:
+            assert sorted(one) == sorted(i for log in logs for i in log * one.count(log[0]))
+    assert len({tuple(sorted(one)) for one in drawn}) > 10
 
 
 def test_emps(shared_dir, robot_model_dir, tmp_path, capsys):
