@@ -31,6 +31,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         say(f"frasa-rl: {error.name} is not installed: pip install 'frasa[train]'")
         return 1
+    except KeyboardInterrupt:
+        say("frasa-rl: interrupted")
+        return 130
     return run_command(parser, arguments)
 
 

@@ -18,7 +18,7 @@ from frasa_rl.reward import target
 from frasa_rl.robot import Robot, Sensors, find_robot
 from frasa_rl.runtime import SCHEMA
 from frasa_rl.task_model import build_model
-from frasa_sysid.calibration import calibration_id, load_model, plain, sha256_of
+from frasa_sysid.calibration import calibration_id, load_model, model_sha256, plain
 
 FASTEST = 5.0  # times the rate of training: the protocol's 100 Hz for a policy of 20 Hz
 _DIGITS = 9
@@ -62,14 +62,14 @@ def deployment(run: dict[str, Any], task: Task, model_path: Path) -> dict[str, A
         "model": {
             "file": model_path.name,
             "calibration_id": calibration_id(whole),
-            "sha256": compiled_sha256(whole),
+            "sha256": model_sha256(whole),
             "mujoco": mujoco.__version__,
         },
         "control": {
             "period_s": task.control_period_s,
             "rate_hz": 1.0 / task.control_period_s,
             "lowest_hz": 1.0 / task.control_period_s,
-            "highest_hz": FASTEST / task.control_period_s,
+            "highest_hz": (1.0 if task.compat else FASTEST) / task.control_period_s,
         },
         "action": {
             "type": "joint_rate",
@@ -85,13 +85,6 @@ def deployment(run: dict[str, Any], task: Task, model_path: Path) -> dict[str, A
         "servos": [_servo(model, index) for index in range(model.nu)],
     }
     return dict(_rounded(plain(said)))
-
-
-def compiled_sha256(model: mujoco.MjModel) -> str:
-    """SHA-256 of a compiled model, as run.yaml has it; another MuJoCo gives another."""
-    content = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
-    mujoco.mj_saveModel(model, None, content)
-    return sha256_of(content.tobytes())
 
 
 def _joints(task: Task, robot: Robot) -> list[dict[str, Any]]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from frasa_rl.config import Task
@@ -20,7 +21,7 @@ from frasa_rl.protocol_push import PushTrial, run_push
 from frasa_rl.protocol_standup import StandUpTrial, run_standup
 from frasa_rl.robot import find_robot
 from frasa_rl.task_model import build_model
-from frasa_sysid.calibration import CalibrationError, calibration_id, load_model
+from frasa_sysid.calibration import CalibrationError, calibration_id, load_model, model_sha256, say
 
 SCHEMA = "frasa.evaluation/2"
 NOTHING, KEYFRAMES = "nothing", "keyframes"
@@ -130,7 +131,7 @@ def find_controller(
         PolicyError: no policy there, one of another task, or an SB3 file that is not trusted.
         KeyframeError: no keyframes there, or with joints or angles that the model does not have.
         ModelError: the model that keyframes are to run on is missing or broken, or lacks something.
-        CalibrationError: a policy of another calibration, and that is not allowed.
+        CalibrationError: a policy of another calibration, or of another nominal model, and that is not allowed.
     """
     if word == NOTHING:
         return Nothing(task), model or DEFAULT_MODEL
@@ -153,8 +154,34 @@ def find_policy(
     else:
         policy = Policy.load(word)
         chosen = model or Path(str(policy.run.get("model", DEFAULT_MODEL)))
-    check_policy(policy, task, calibration_id(load_model(chosen)), allow_other_model=allow_other_model)
+    loaded = load_model(chosen)
+    check_policy(policy, task, calibration_id(loaded), allow_other_model=allow_other_model)
+    if calibration_id(loaded) is None and not allow_other_model:  # no id that says what it is
+        check_model(policy.run, model_sha256(loaded), chosen)
     return policy, chosen
+
+
+def check_model(run: dict[str, Any], found: str, path: Path) -> None:
+    """Raise when a policy was trained on another model than this one, as far as that can be known.
+
+    Args:
+        run: run.yaml of the policy.
+        found: `model_sha256` of the model.
+        path: of the model, for the message.
+
+    Raises:
+        CalibrationError: the same MuJoCo compiles to another model than in training.
+    """
+    trained_on, versions = run.get("model_sha256"), run.get("versions")
+    if trained_on in (None, found):
+        return
+    before = versions.get("mujoco") if isinstance(versions, dict) else None
+    if before == mujoco.__version__:
+        raise CalibrationError(
+            f"{path} is not the model the policy was trained on, or was changed since: give that one with --model, or "
+            "--allow-other-model"
+        )
+    say(f"{path}: compared by calibration id only, as the policy was trained with MuJoCo {before}")
 
 
 def is_policy(word: str) -> bool:

@@ -76,6 +76,9 @@ class Runtime:
     previous action that the policy sees is the mean of what was applied over the last period of *training*,
     so that the same policy runs at all rates from `lowest_hz` to `highest_hz` of its deploy.json.
 
+    The policy has one command for both sides. A robot that fell is not symmetric: each side begins where it is and
+    comes to the common command at the rate limit.
+
     Attributes:
         deploy: the content of deploy.json.
         joints: names of the moved joints, left and right, in the order of all arrays here.
@@ -109,6 +112,9 @@ class Runtime:
         self._low, self._seen = -self._high, np.zeros(sum(sizes))
         self.observation = np.zeros(sum(sizes), dtype=np.float32)
         self._before, self._change, self._commands = np.zeros(n), np.zeros(n), np.zeros((n, 2))
+        # What a side still differs by from the common command, at the end of the last period and of this one.
+        self._apart_before, self._apart = np.zeros((n, 2)), np.zeros((n, 2))
+        self._even, self._started = True, False
         self._remember()
 
     def _remember(self) -> None:
@@ -172,16 +178,22 @@ class Runtime:
         return Runtime(Network(layers), deploy, rate_hz)
 
     def start(self, commands: npt.ArrayLike) -> None:
-        """Begin: forget all actions.
+        """Begin: forget all actions, and go on from where the robot is.
 
         Args:
             commands: present ones of both sides [rad], shape (n, 2); of a limp robot, its joint positions.
+
+        Raises:
+            ValueError: they are not so many, or not finite.
         """
         present = np.asarray(commands, dtype=np.float64)
         if present.shape != (self._n, 2) or not np.isfinite(present).all():
             raise ValueError(f"commands of shape {present.shape}: expected {(self._n, 2)}, all finite")
-        self._goal[:] = 0.5 * (present * self._mirror).sum(axis=1)
+        self._goal[:] = np.clip(0.5 * (present * self._mirror).sum(axis=1), self._least, self._most)
         self._before[:] = self._goal
+        self._apart[:] = present - self._goal[:, None] * self._mirror
+        self._apart_before[:] = self._apart
+        self._even, self._started = not self._apart.any(), True
         self._recent[:] = 0.0
 
     def step(self, positions: Floats, velocities: Floats, pitch: float, pitch_rate: float) -> Floats:
@@ -198,32 +210,59 @@ class Runtime:
             Joint angles to be commanded when the period ends [rad], shape (n, 2); on the way there, `between`.
 
         Raises:
-            ValueError: a reading is not a finite number, or there are not so many; commands stay as they are.
+            ValueError: a reading is not a finite number, or there are not so many; commands stay as they are, `between`
+                too.
+            RuntimeError: `start` was not called: where the robot is is not known.
         """
+        self._end_period()
         if positions.shape != self._commands.shape or velocities.shape != self._commands.shape:
+            self._recall(_ZERO)
             raise ValueError(f"readings of shape {positions.shape}, {velocities.shape}: expected {(self._n, 2)}")
         self._positions[:] = positions
         self._velocities[:] = velocities
         self._trunk[0], self._trunk[1] = pitch, pitch_rate
         if not math.isfinite(np.dot(self._known, self._known)):
+            self._recall(_ZERO)
             raise ValueError("a reading is not a finite number")
         seen = np.dot(self._sight, self._known, out=self._seen)
         np.maximum(seen, self._low, out=seen)
         np.minimum(seen, self._high, out=self.observation, casting="same_kind")
         action, goal = self.act(self.observation), self._goal
-        if len(self._recent) > 1:
-            self._recent[:-1] = self._recent[1:]
-        self._newest[:] = action
-        self._before[:] = goal
+        self._recall(action)
         goal += np.multiply(self._newest, self._travel, out=self._change)
         np.maximum(goal, self._least, out=goal)
         np.minimum(goal, self._most, out=goal)
         np.multiply(self._goal_column, self._mirror, out=self._commands)
+        if not self._even:
+            self._come_together()
         return self._commands
+
+    def _end_period(self) -> None:
+        """What was commanded is reached; until there is a new action nothing moves."""
+        if not self._started:
+            raise RuntimeError("start(commands) comes first: it says where the robot is")
+        self._before[:] = self._goal
+        if not self._even:
+            self._apart_before[:] = self._apart
+
+    def _recall(self, action: Single | np.float32) -> None:
+        """The action of the period that begins: none, where readings were refused."""
+        if len(self._recent) > 1:
+            self._recent[:-1] = self._recent[1:]
+        self._newest[:] = action
+
+    def _come_together(self) -> None:
+        """Sides that are apart move towards the common command, at the rate limit."""
+        there = self._before[:, None] * self._mirror + self._apart_before
+        reached = np.clip(self._commands, there - self._travel, there + self._travel)
+        self._apart[:] = reached - self._commands
+        self._even = not (self._apart.any() or self._apart_before.any())
+        self._commands[:] = reached
 
     def between(self, share: float) -> Floats:
         """Joint angles when a share (0 to 1) of the period has passed [rad], shape (n, 2)."""
-        return np.asarray((self._before + share * (self._goal - self._before))[:, None] * self._mirror)
+        common = (self._before + share * (self._goal - self._before))[:, None] * self._mirror
+        return np.asarray(common + (self._apart_before + share * (self._apart - self._apart_before)))
 
 
 def pitch_of(w: float, x: float, y: float, z: float) -> float:

@@ -23,14 +23,14 @@ CONTROLLER_HELP = (
 _MOST_TRIALS, _MOST_SEED = 100_000, 2**63 - 1
 
 
-def add_conditions(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments that say on which model and how."""
+def add_conditions(parser: argparse.ArgumentParser, seed: int = 10_000) -> None:
+    """Add the arguments that say on which model and how, with the seed that trials have by default."""
     parser.add_argument("--model", type=Path, help="model file (default: the one the policy was trained on)")
     parser.add_argument("--allow-other-model", action="store_true", help="run it on another calibration than its own")
     add_trust(parser)
     add_task_option(parser)
     parser.add_argument("--rate", type=float, metavar="HZ", help="decisions a second, 20 or 100 (default: as trained)")
-    parser.add_argument("--seed", type=int, default=10_000, help="of all trials (default 10000)")
+    parser.add_argument("--seed", type=int, default=seed, help=f"of all trials (default {seed})")
 
 
 def add_trust(parser: argparse.ArgumentParser) -> None:

@@ -5,15 +5,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import mujoco
-
 from frasa_rl.commands.arguments import add_trust, chosen_task_of
 from frasa_rl.commands.task_option import add_task_option
 from frasa_rl.deployment import deployment
-from frasa_rl.evaluate import find_policy
+from frasa_rl.evaluate import check_model, find_policy
 from frasa_rl.export import check_published, publish
 from frasa_rl.foreign import is_foreign
-from frasa_sysid.calibration import CalibrationError, UsageError, add_json_flag, alone, say
+from frasa_sysid.calibration import UsageError, add_json_flag, alone, say
 
 SCHEMA = "frasa.export/1"
 
@@ -44,7 +42,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     )
     deploy = deployment({"origin": f"run {Path(args.policy).resolve().name}", **policy.run}, task, model)
     if not args.allow_other_model:
-        _check_model(policy.run, deploy["model"], model)
+        check_model(policy.run, deploy["model"]["sha256"], model)
     out: Path = args.out or (Path(args.policy).with_suffix("") if foreign else Path(args.policy) / "export")
     with alone(out, folder=True):
         files = publish(policy, deploy, out)
@@ -52,6 +50,8 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     size = sum(one.stat().st_size for one in files)
     say(f"{out}: {', '.join(one.name for one in files)}, {size / 1e6:.1f} MB")
     say("differ from the policy by at most " + ", ".join(f"{one:.0e} ({name})" for name, one in agreement.items()))
+    if task.compat:
+        say(f"trained with compat {task.compat}: runtime.py does not keep its histories, use Network or the ONNX file")
     return {
         "schema": SCHEMA,
         "folder": out,
@@ -62,16 +62,3 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         "model": model,
         "rates_hz": [deploy["control"]["lowest_hz"], deploy["control"]["highest_hz"]],
     }
-
-
-def _check_model(run: dict[str, Any], found: dict[str, Any], path: Path) -> None:
-    """Gains of another robot in a policy's description would be worse than none."""
-    trained_on, versions = run.get("model_sha256"), run.get("versions")
-    if trained_on in (None, found["sha256"]):
-        return
-    before = versions.get("mujoco") if isinstance(versions, dict) else None
-    if before == mujoco.__version__:
-        raise CalibrationError(
-            f"{path} is not the model the policy was trained on: give that one with --model, or --allow-other-model"
-        )
-    say(f"{path}: compared by calibration id only, as the policy was trained with MuJoCo {before}")

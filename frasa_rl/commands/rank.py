@@ -13,6 +13,7 @@ from frasa_rl.rank import CRITERIA, PASS_SHARE, numbers_of, rank, rank_table
 from frasa_sysid.calibration import UsageError, add_json_flag, say
 
 SCHEMA = "frasa.rank/1"
+_SEED = 20_000  # other trials than those of `evaluate`: what chose a policy must not be what it is praised for
 
 
 def add_command(commands: Any) -> None:  # noqa: ANN401 - argparse keeps this type private
@@ -32,7 +33,7 @@ def rank_words(words: list[str]) -> dict[str, Any]:
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("controllers", nargs="+", metavar="CONTROLLER", help=CONTROLLER_HELP)
-    add_conditions(parser)
+    add_conditions(parser, _SEED)
     parser.add_argument("--trials", type=int, default=10, help="stand-up trials from each side (default 10)")
     parser.add_argument("--push-trials", type=int, default=5, help="trials of each push (default 5)")
 

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from frasa_rl.plan import Plan
 
 Subparsers = Any  # argparse keeps the type of its subparsers private
+_LEARNED = 0.5  # share of a side's held-out falls that end standing
+_LONG_ENOUGH = 150_000  # transitions by which nearly every run of the recipe stands up from both sides (recipe.md)
 
 
 def add_command(commands: Subparsers) -> None:
@@ -73,4 +75,18 @@ def _tell(plan: "Plan", result: dict[str, Any]) -> None:
     say(
         f"\n{result['steps']:,} steps, {result['updates']:,} updates, {result['minutes']:.1f} min{stands}; "
         f"policy in {result['policy']}; try: frasa-rl evaluate {plan.out}"
+    )
+    if best is not None and (advice := advice_after(plan.settings.seed, best, result["steps"])):
+        say(advice)
+
+
+def advice_after(seed: int, best: dict[str, Any], steps: int) -> str:
+    """What to do about a side on which nothing stands after a training in which others stand up; or nothing."""
+    missing = [side for side in ("prone", "supine") if best[f"success_{side}"] < _LEARNED]
+    if not missing or steps < _LONG_ENOUGH:
+        return ""
+    return (
+        f"not learned: to stand up {' and '.join(missing)}. That is at times a matter of chance: another seed "
+        f"(--seed {seed + 1}), or several at once (frasa-rl sweep --seeds 4); where none learns it, look at "
+        "frasa-rl play RUN --start SIDE and at the pose, the limits and the rates of the task"
     )

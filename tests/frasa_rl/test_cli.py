@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from frasa_rl.cli import main
+from frasa_rl.commands.train import advice_after
 from frasa_rl.evaluate import Evaluation
 from frasa_rl.protocol_standup import StandUpTrial
 from frasa_rl.render import Camera, RenderError
@@ -184,3 +185,18 @@ def test_errors_are_one_line_and_a_status(words, code, message, nominal, tmp_pat
     assert len(lines) == 1
     assert message in lines[0]
     assert [one.name for one in tmp_path.iterdir()] == ["box.xml"]
+
+
+@pytest.mark.parametrize(
+    ("prone", "supine", "steps", "said"),
+    [
+        (1.0, 0.03, 400_000, "stand up supine"),
+        (0.0, 0.0, 400_000, "prone and supine"),
+        (1.0, 0.9, 400_000, None),
+        (0.0, 0.0, 100_000, None),
+    ],
+)
+def test_a_side_that_was_not_learned_is_told(prone, supine, steps, said):
+    """With what to do; not after a training so short that nothing was to be expected."""
+    advice = advice_after(3, {"success_prone": prone, "success_supine": supine}, steps)
+    assert (said is None and advice == "") or (said is not None and said in advice and "--seed 4" in advice)

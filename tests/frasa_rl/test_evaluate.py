@@ -1,11 +1,15 @@
 """What a controller's trials come to, and which controllers are let near a model."""
 
+import argparse
 import json
 from dataclasses import asdict
 
+import mujoco
 import numpy as np
 import pytest
 
+from frasa_rl.commands import evaluate as evaluate_command
+from frasa_rl.commands import rank as rank_command
 from frasa_rl.config import Task
 from frasa_rl.controllers import Nothing
 from frasa_rl.evaluate import Evaluation, check_policy, find_controller
@@ -17,7 +21,7 @@ from frasa_rl.protocol_push import PushTrial
 from frasa_rl.protocol_standup import StandUpTrial, run_standup
 from frasa_rl.protocol_tables import tables
 from frasa_rl.routine import KeyframeError
-from frasa_sysid.calibration import CalibrationError, UsageError, plain
+from frasa_sysid.calibration import CalibrationError, UsageError, load_model, model_sha256, plain
 
 TASK = Task()
 STRAIN = np.array([4.0, 3.0, 200.0, 0.5, 0.1])
@@ -186,3 +190,25 @@ def test_keyframes_are_a_controller(nominal, robot_model_dir, tmp_path, monkeypa
         assert (controller.name, model) == ("keyframe", nominal)
     with pytest.raises(KeyframeError, match=r"none\.yaml"):
         find_controller(str(tmp_path / "none.yaml"), nominal, TASK)
+
+
+def test_a_nominal_model_that_was_changed_is_told(model_copy, tmp_path):
+    """Without a calibration there is no id to compare: the compiled model is."""
+    run = {"model": str(model_copy), "model_sha256": model_sha256(load_model(model_copy))}
+    still_policy(**run, versions={"mujoco": mujoco.__version__}).save(tmp_path / "policy")
+    word = str(tmp_path / "policy")
+    find_controller(word, None, TASK)
+    model_copy.write_text(model_copy.read_text().replace('impratio="1"', 'impratio="2"'))
+    with pytest.raises(CalibrationError, match="changed since"):
+        find_controller(word, None, TASK)
+    find_controller(word, None, TASK, allow_other_model=True)
+
+
+def test_candidates_are_chosen_by_other_trials_than_they_are_praised_for():
+    """What `rank` tries is not what `evaluate` reports."""
+    parser = argparse.ArgumentParser()
+    evaluate_command.add_command(parser.add_subparsers())
+    reported = parser.parse_args(["evaluate", "nothing"]).seed
+    parser = argparse.ArgumentParser()
+    rank_command.add_command(parser.add_subparsers())
+    assert parser.parse_args(["rank", "nothing"]).seed != reported

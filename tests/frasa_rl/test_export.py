@@ -11,12 +11,12 @@ import yaml
 
 from frasa_rl.cli import main
 from frasa_rl.config import Joint, Names, Task
-from frasa_rl.deployment import compiled_sha256, deployment, metadata
+from frasa_rl.deployment import deployment, metadata
 from frasa_rl.export import check_published, publish
 from frasa_rl.observation import bounds
 from frasa_rl.policy import Policy
 from frasa_rl.runtime import Network, Runtime, read_weights
-from frasa_sysid.calibration import QualityError, load_model
+from frasa_sysid.calibration import QualityError, load_model, model_sha256
 
 onnx = pytest.importorskip("onnx", reason="the extra `export`")
 
@@ -134,7 +134,7 @@ def test_the_description_is_the_models(calibrated):
     ages = {one["name"]: one.get("delay_s") for one in deploy["observation"]}
     for name, sensor in (("velocity", "left_knee.velocity"), ("pitch_rate", "measured_gyro")):
         assert ages[name] == pytest.approx(model.sensor_delay[model.sensor(sensor).id])
-    assert deploy["model"]["sha256"] == compiled_sha256(model)
+    assert deploy["model"]["sha256"] == model_sha256(model)
     assert (deploy["calibration_id"], deploy["model"]["calibration_id"]) == ("c0ffee", "c0ffee")
     moved = {side for one in deploy["joints"] for side in (one["left"], one["right"])}
     assert moved | set(deploy["held"]) == {one["joint"] for one in deploy["servos"]}
@@ -155,7 +155,7 @@ def test_a_joint_on_the_midline_stands_once():
 def test_the_hash_is_the_runs(nominal):
     """A run and an export speak of a model by the same number."""
     plan = pytest.importorskip("frasa_rl.plan")
-    assert compiled_sha256(load_model(nominal)) == plan.model_hash(load_model(nominal))
+    assert model_sha256(load_model(nominal)) == plan.model_hash(load_model(nominal))
 
 
 def test_new_weights_take_old_exports_away(nominal, tmp_path, random_policy):
@@ -210,7 +210,7 @@ def test_weights_are_what_others_read(nominal, tmp_path, random_policy):
 @pytest.fixture
 def trained(nominal, tmp_path, random_policy):
     """The folder of a run on the nominal model."""
-    run = {"model": str(nominal), "model_sha256": compiled_sha256(load_model(nominal))}
+    run = {"model": str(nominal), "model_sha256": model_sha256(load_model(nominal))}
     run["versions"] = {"mujoco": __import__("mujoco").__version__}
     random_policy(16, run=run).save(tmp_path / "run" / "policy")
     return tmp_path / "run"
@@ -248,3 +248,23 @@ def test_gains_of_another_robot_are_not_written(trained, model_copy, calibrated,
     assert (deploy["calibration_id"], deploy["model"]["calibration_id"]) == (None, "c0ffee")
     assert main(["export", str(trained), "--task", "any.yaml"]) == 2
     assert "--task" in capsys.readouterr().err
+
+
+def test_a_policy_trained_in_the_published_environment_has_one_rate(nominal, random_policy, tmp_path):
+    """Its histories are the environment's: what runs it at 100 Hz would feed it other ones than in training."""
+    folder, other = tmp_path / "compat", Task(compat="frasa2024")
+    publish(random_policy(16), deployment({}, other, nominal), folder)
+    control = json.loads((folder / "deploy.json").read_text())["control"]
+    assert control["lowest_hz"] == control["highest_hz"] == 20.0
+
+
+def test_the_trial_of_an_export_knows_rounding_from_error(random_policy, nominal, tmp_path):
+    """Weights so large that float32 itself is off by more than the limit pass; weights that differ do not."""
+    weights = [(200.0 * weight, bias) for weight, bias in random_policy(384, 256).layers]
+    large = Policy(tuple((one.astype(np.float32), bias) for one, bias in weights), {})
+    deploy = deployment({}, TASK, nominal)
+    publish(large, deploy, tmp_path)
+    assert max(check_published(large, deploy, tmp_path).values()) > 1e-5
+    other = Policy(((large.layers[0][0] * np.float32(1.01), large.layers[0][1]), *large.layers[1:]), {})
+    with pytest.raises(QualityError, match="differs"):
+        check_published(other, deploy, tmp_path)

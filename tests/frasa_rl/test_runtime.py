@@ -117,6 +117,51 @@ def test_the_previous_action_is_the_mean_over_the_trained_period(exported, rate,
         applied.append(runtime.act(runtime.observation).tolist())
 
 
+@pytest.mark.parametrize("rate", [20, 100])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, "shape"])
+def test_a_refused_reading_moves_nothing(exported, rate, bad):
+    """The goals along the ramp stay where the last one ended, for as long as readings are refused; then it goes on."""
+    runtime = Runtime.load(exported, rate)
+    runtime.start(np.full((5, 2), 0.3))
+    good, broken = np.full((5, 2), 0.2), np.full((5, 2), 0.2)
+    broken[2, 1] = 0.0 if bad == "shape" else bad
+    for _ in range(3):
+        last = runtime.step(good, good, 0.1, 0.2).copy()
+    assert np.abs(runtime.between(0.0) - last).max() > 1e-3
+    for _ in range(7):
+        with pytest.raises(ValueError, match="reading"):
+            runtime.step(broken[:4] if bad == "shape" else broken, good, 0.1, 0.2)
+        for share in (0.0, 0.2, 1.0):
+            np.testing.assert_array_equal(runtime.between(share), last)
+    runtime.step(good, good, 0.1, 0.2)
+    assert (runtime.observation[17:] == 0.0).all(), "what the policy did last, it did before readings were refused"
+    np.testing.assert_array_equal(runtime.between(0.0), last)
+
+
+def test_sides_that_are_apart_come_together_at_the_rate_limit(exported):
+    """No joint jumps at the start, however the robot lies, and after a while both sides have one command."""
+    runtime = Runtime.load(exported, 100)
+    lies = np.array([[1.0, -1.0], [0.4, 0.1], [0.0, 0.0], [5.0, 5.0], [-0.2, 0.7]])
+    runtime.start(lies)
+    travel = runtime.deploy["action"]["rate_limit_rad_s"] / 100
+    np.testing.assert_allclose(runtime.between(0.0), lies, atol=1e-12)
+    before = lies
+    for _ in range(100):
+        commands = runtime.step(before, np.zeros((5, 2)), 0.1, 0.0).copy()
+        np.testing.assert_allclose(runtime.between(0.0), before, atol=1e-12)
+        np.testing.assert_allclose(runtime.between(1.0), commands, atol=1e-12)
+        assert np.abs(commands - before).max() <= travel + 1e-12
+        before = commands
+    assert (commands[:, 0] == commands[:, 1]).all()
+    assert runtime.deploy["joints"][3]["command_high_rad"] >= commands[3, 0]
+
+
+def test_a_step_before_the_start_is_refused(exported):
+    """Nobody told it where the robot is: its first goals would be somewhere else."""
+    with pytest.raises(RuntimeError, match="start"):
+        Runtime.load(exported).step(np.zeros((5, 2)), np.zeros((5, 2)), 0.0, 0.0)
+
+
 @pytest.mark.parametrize("rate", [19.0, 101.0, float("nan"), float("inf"), 0.0, -20.0])
 def test_a_rate_it_was_not_measured_at_is_refused(exported, rate):
     """Slower than in training, or faster than the protocol tries, or no rate at all."""
