@@ -16,6 +16,7 @@ from frasa_sysid.calibration.friction import LAWS
 from frasa_sysid.choice import Choice, choose
 from frasa_sysid.claims import settle
 from frasa_sysid.commands.bench import add_bench_arguments, bench_model, load_bench, people_console, read_logs
+from frasa_sysid.commands.bench_checks import check_bench
 from frasa_sysid.commands.fit_options import add_bench_options
 from frasa_sysid.commands.fit_robot import add_robot_arguments, fit_robot_logs
 from frasa_sysid.commands.fit_show import show
@@ -78,6 +79,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise UsageError(f"--out {out}: expected a name that ends in .json")
     if args.publish:
         _check_publishable(args, bench, out)
+    check_bench(people_console(), [*bench.train, *bench.held_out])
     with alone(out):
         return _run_bench(args, bench, effects, out)
 
