@@ -44,6 +44,7 @@ from frasa_sysid.model_xml import (
     write_stepping,
 )
 from frasa_sysid.published_check import check_compiled
+from frasa_sysid.published_evidence import check_evidence
 from frasa_sysid.published_headline import headline
 from frasa_sysid.published_place import check_nominal, check_ranges_free
 from frasa_sysid.published_ranges import SUPPLY, ranges_of
@@ -89,11 +90,13 @@ def publish(fits: Sequence[StoredFit], nominal: Path, out: Path, robot: StoredRo
             another robot.
         ModelError: the nominal model lacks a class, sensor, joint or trunk, is not XML, is calibrated already,
             carries a friction law, or would be overwritten.
+        QualityError: of a servo the logs told nothing.
         UsageError: another model in that folder would lose its ranges.
     """
     check_nominal(nominal, out)
     model = load_model(nominal)
     claims = settle(fits, robot)
+    check_evidence(claims.benches)
     _check_stated(claims, nominal, model)
     check_model(claims, model)
     root = inlined(nominal, wanted_parts(claims.body_values()))

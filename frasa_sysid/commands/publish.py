@@ -14,6 +14,7 @@ from frasa_sysid.errors import InputError
 from frasa_sysid.fit_json import ROBOT, read_json
 from frasa_sysid.publish import PATIENCE_S, publish, write
 from frasa_sysid.published_as import as_m1, price
+from frasa_sysid.published_evidence import evidence_words
 from frasa_sysid.stored_fit import StoredFit
 from frasa_sysid.stored_robot_fit import StoredRobotFit
 
@@ -98,7 +99,7 @@ def publish_files(
 
     Raises:
         InputError: two fits that claim one parameter, a model that does not suit them, or no stand-in.
-        QualityError: the compiled model is not what was fitted.
+        QualityError: the compiled model is not what was fitted, or the logs told nothing of a servo.
     """
     if as_law == "m1":
         fits = [as_m1(one) for one in fits]
@@ -113,6 +114,8 @@ def publish_files(
             say(f"  {one.servo} {price(one)}")
         for effect in one.not_in_model:
             say(f"  {one.servo}, not in this model: {effect}")
+    for words in evidence_words(fits, robot):
+        say(f"  {words}")
     for effect in robot.not_in_model if robot else ():
         say(f"  robot, not in this model: {effect}")
     return ranges

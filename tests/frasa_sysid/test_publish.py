@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from frasa_sysid import fit_json, stored_fit
-from frasa_sysid.calibration import CalibrationError, calibration_id, load_calibration, load_model, parameter, read
+from frasa_sysid.calibration import (
+    CalibrationError,
+    calibration_id,
+    load_calibration,
+    load_model,
+    parameter,
+    read,
+    run_command,
+)
+from frasa_sysid.cli import build_parser
 from frasa_sysid.errors import InputError, ModelError, QualityError, UsageError
 from frasa_sysid.publish import check_replay, find_fits, publish, replay_tolerance, write
 
@@ -122,6 +131,36 @@ def test_unexcited_numbers_get_no_range(model_dir, fits):
     assert "mx106.forcerange" not in published.calibration.ranges
     assert "mx106.forcerange" not in published.calibration.correlated
     assert 'forcerange="-7.77 7.77"' in published.xml
+
+
+def unexcited(path, names):
+    """A fit file of which the logs say nothing of some numbers."""
+    data = json.loads(path.read_text())
+    for name in names:
+        data["parameters"][name]["verdict"] = "not excited"
+    path.write_text(json.dumps(data))
+
+
+def test_a_servo_that_the_logs_tell_nothing_of_is_no_model(model_dir, fits, tmp_path, capsys):
+    """Exit 4 and one line with the remedy, though the bench's own zero was told; nothing is written."""
+    unexcited(tmp_path / "mx64.json", [f"mx64.{field}" for field in FITTED["mx64"]])
+    before = contents(model_dir)
+    words = ["publish", tmp_path / "mx106.json", tmp_path / "mx64.json", "--model", model_dir / "nominal.xml"]
+    assert run_command(build_parser(), [str(word) for word in words]) == 4
+    err = capsys.readouterr().err
+    assert "of mx64: all 6 numbers of its actuator are not excited" in err
+    assert "record what frasa-sysid inspect LOG asks for, and fit again" in err
+    assert err.count("\n") == 1
+    assert contents(model_dir) == before
+
+
+def test_what_stands_without_evidence_is_named(model_dir, fits, tmp_path, capsys):
+    """One line for a servo with some such numbers, none for one without."""
+    unexcited(tmp_path / "mx64.json", ["mx64.delay", "mx64.forcerange"])
+    words = ["publish", tmp_path / "mx106.json", tmp_path / "mx64.json", "--model", model_dir / "nominal.xml"]
+    assert run_command(build_parser(), [str(word) for word in words]) == 0
+    said = [one for one in capsys.readouterr().err.splitlines() if "without evidence" in one]
+    assert [one.partition("): ")[2] for one in said] == ["mx64.forcerange, mx64.delay"]
 
 
 def test_another_folder_still_compiles(model_dir, fits, tmp_path):
