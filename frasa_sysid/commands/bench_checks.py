@@ -10,10 +10,11 @@ from frasa_sysid.errors import LogError
 from frasa_sysid.joint_checks import Check
 from frasa_sysid.recording import Recording
 
-# A weak servo hangs far below its goal, as a shifted encoder would; a fit tells the two apart by all of the runs.
+# A servo too weak or too slow for its goal is far from it on average, as a shifted encoder would be; all of the runs
+# together tell them apart, and a fit has the zero as a number.
 SAID_ONLY = ("wrong_zero",)
 # The fit says it itself, with the signals that there are.
-LEFT_TO_THE_FIT = ("no_goal", "no_joints", "too_short")
+LEFT_TO_THE_FIT = ("no_goal", "no_joints", "no_positions", "too_short")
 
 
 def check_bench(console: Console, recordings: Sequence[Recording]) -> None:
