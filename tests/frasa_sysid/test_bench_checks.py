@@ -86,7 +86,7 @@ def hanging(share, shift=0.0):
     return Recording("weak", signals, rig, "real", "a.mcap", "0" * 64, "log")
 
 
-@pytest.mark.parametrize(("share", "shift", "code"), [(0.25, 0.0, "hangs_below"), (1.0, 0.5, "wrong_zero")])
+@pytest.mark.parametrize(("share", "shift", "code"), [(0.25, 0.0, "hangs_below"), (1.0, -0.5, "wrong_zero")])
 def test_a_servo_far_from_its_goal_is_said(capsys, share, shift, code):
     """Too weak for its load or a shifted encoder: one log alone cannot tell, so the fit goes on with one line each."""
     run = hanging(share, shift)
