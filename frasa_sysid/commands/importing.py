@@ -22,6 +22,7 @@ from frasa_sysid.commands.import_formats import (
     find_sources,
     name_of,
 )
+from frasa_sysid.commands.import_over import check_replaced
 from frasa_sysid.errors import LogError, UsageError
 from frasa_sysid.readers.effort import EFFORT_UNITS, UNDECLARED, declare_effort, undeclared
 from frasa_sysid.readers.rig_facts import with_facts
@@ -92,6 +93,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     for source, out in zip(sources, outputs, strict=True):
         try:
             recordings = _import(source, args, table, mapping)
+            check_replaced(out, recordings)
             made = {"command": "import", "inputs": {one.source: one.sha256 for one in recordings}, **_said(args)}
             write_mcap(out, recordings, {**_originals(source, args.format), **_map_file(mapping)}, made=made)
         except (LogError, PermissionError) as error:

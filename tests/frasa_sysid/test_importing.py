@@ -287,3 +287,24 @@ def test_what_was_declared_is_on_record(tmp_path, made_of):
     words = ["--unit", "rad", "--mass", 0.5, "--servo", "mx64"]
     assert frasa("import", source, "--format", "bam", "--out", tmp_path, *words) == 0
     assert made_of(tmp_path / "a.mcap")["declared"] == {"mass": 0.5, "servo": "mx64", "unit": "rad"}
+
+
+def test_another_log_of_the_same_name_is_not_replaced(tmp_path, capsys):
+    """Runs of one name from several folders do not eat each other; the same log may change or move."""
+    first, second = bam(tmp_path / "p8" / "up.json"), bam(tmp_path / "p16" / "up.json", kp=16)
+    out = tmp_path / "out" / "up.mcap"
+    words = ["--format", "bam", "--out", tmp_path / "out"]
+    assert frasa("import", first, *words) == 0
+    before = out.read_bytes()
+    assert frasa("import", second, *words) == 3
+    assert f"{second} would replace {out}, which was imported from {first}" in capsys.readouterr().err
+    assert out.read_bytes() == before
+    assert frasa("import", bam(first, kp=8), *words) == 0
+    assert read_log(out)[0].rig.firmware_gain == 8
+    moved = tmp_path / "moved" / "up.json"
+    moved.parent.mkdir()
+    first.rename(moved)
+    assert frasa("import", moved, *words, "--trajectory", "sine") == 0
+    for foreign in (b"", b"no MCAP", out.read_bytes()[:-40]):
+        out.write_bytes(foreign)
+        assert frasa("import", second, *words) == 0
