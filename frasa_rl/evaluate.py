@@ -14,6 +14,7 @@ from frasa_rl.foreign import foreign_policy, is_foreign
 from frasa_rl.instruments import MEASURES
 from frasa_rl.keyframe import KEYFRAMES as KEYFRAMES_FILE
 from frasa_rl.keyframe import load_controller
+from frasa_rl.model_path import NAMED, check_there, model_path, run_folder
 from frasa_rl.observation import layout
 from frasa_rl.policy import Policy, PolicyError
 from frasa_rl.protocol import PAPER_PUSH, PAPER_STANDUP, SIDES, Conditions, mean_and_std
@@ -153,7 +154,7 @@ def find_policy(
         policy = foreign_policy(Path(word), task, chosen, trust=trust)
     else:
         policy = Policy.load(word)
-        chosen = model or Path(str(policy.run.get("model", DEFAULT_MODEL)))
+        chosen = model or _own_model(policy, Path(word))
     loaded = load_model(chosen)
     check_policy(policy, task, calibration_id(loaded), allow_other_model=allow_other_model)
     if calibration_id(loaded) is None and not allow_other_model:  # no id that says what it is
@@ -182,6 +183,14 @@ def check_model(run: dict[str, Any], found: str, path: Path) -> None:
             "--allow-other-model"
         )
     say(f"{path}: compared by calibration id only, as the policy was trained with MuJoCo {before}")
+
+
+def _own_model(policy: Policy, folder: Path) -> Path:
+    """The model that a policy was trained on."""
+    said = {**policy.run, NAMED: str(policy.run.get(NAMED, DEFAULT_MODEL))}
+    path = model_path(said, run_folder(folder))
+    check_there(path)
+    return path
 
 
 def is_policy(word: str) -> bool:

@@ -67,6 +67,22 @@ class Evaluations:
         self.write()
         return bool(row[_BEST])
 
+    def drop_early(self, each: int) -> bool:
+        """Forget the newest row where it was made only because the run ended, and now it goes on.
+
+        Args:
+            each: transitions between two evaluations.
+
+        Returns:
+            Whether its policy was the best.
+        """
+        before = int(self.rows[-2][_STEPS]) if len(self.rows) > 1 else 0
+        if not self.rows or self.evaluated_steps // each > before // each:
+            return False
+        dropped = self.rows.pop()
+        self.write()
+        return bool(dropped[_BEST])
+
     def write(self) -> None:
         """The table as evaluations.csv."""
         EVALUATIONS.write(self._run, self.rows)

@@ -185,6 +185,18 @@ class Sb3Learner:
         return self.model.log_ent_coef
 
 
+def computes_on(device: str) -> str:
+    """What `auto`, `cpu` or `cuda` comes to on this machine: `cpu`, or `cuda` with the name of the GPU.
+
+    Raises:
+        UsageError: `cuda` without a CUDA device.
+    """
+    there = torch.cuda.is_available()
+    if device == "cuda" and not there:
+        raise UsageError("no CUDA device that torch can use: give --device cpu")
+    return "cpu" if device == "cpu" or not there else f"cuda ({torch.cuda.get_device_name()})"
+
+
 def build(settings: Settings, bound: Observation, joints: int, device: str) -> Learner:
     """A new learner; all its chance is of the settings' seed.
 
@@ -197,8 +209,7 @@ def build(settings: Settings, bound: Observation, joints: int, device: str) -> L
     Raises:
         UsageError: `cuda` without a CUDA device.
     """
-    if device == "cuda" and not torch.cuda.is_available():
-        raise UsageError("no CUDA device that torch can use: give --device cpu")
+    computes_on(device)
     torch.set_num_threads(settings.threads)
     nets: dict[str, Any] = {"net_arch": {"pi": list(settings.actor), "qf": list(settings.critic)}}
     common: dict[str, Any] = {

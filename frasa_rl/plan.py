@@ -14,6 +14,7 @@ import yaml
 from frasa_rl import __version__
 from frasa_rl.config import Task
 from frasa_rl.held_out import SEED
+from frasa_rl.model_path import FROM_RUN, NAMED, from_run, model_path
 from frasa_rl.observation import layout
 from frasa_rl.physics import with_physics
 from frasa_rl.policy import RUN_FILE, read_run
@@ -94,7 +95,8 @@ def describe(plan: Plan, curriculum: str = "Curriculum") -> dict[str, Any]:
     said: dict[str, Any] = plain(
         {
             "schema": SCHEMA,
-            "model": plan.model,
+            NAMED: plan.model,
+            FROM_RUN: from_run(plan.model, plan.out),
             "model_sha256": model_hash(model),
             "calibration_id": calibration_id(model),
             "steps": plan.steps,
@@ -152,7 +154,7 @@ def plan_from(said: Mapping[str, Any], out: Path, where: str) -> Plan:
             name: tuple(one) if isinstance(one, list) else one for name, one in said["settings"].items()
         }
         return Plan(
-            model=Path(said["model"]),
+            model=model_path(said, out),
             out=out,
             settings=Settings(**settings),
             steps=said["steps"],

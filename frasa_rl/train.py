@@ -19,7 +19,7 @@ from frasa_rl.bars import shown_share
 from frasa_rl.collector import Collector
 from frasa_rl.curriculum import Curriculum
 from frasa_rl.episodes import make_episodes
-from frasa_rl.learner import build
+from frasa_rl.learner import build, computes_on
 from frasa_rl.loop import Loop
 from frasa_rl.observation import bounds
 from frasa_rl.plan import Plan, describe
@@ -63,6 +63,7 @@ def train(plan: Plan, *, resume: bool = False, curriculum: Curriculum | None = N
 def _train_alone(plan: Plan, resume: bool, curriculum: Curriculum | None) -> dict[str, Any]:
     """With nobody else writing the same run folder."""
     description = describe(plan, type(curriculum or Curriculum()).__name__)
+    description["computed_on"] = computes_on(plan.device)
     if resume:
         _check_same(description, read_run(plan.out / RUN_FILE))
     elif (plan.out / RUN_FILE).exists():
@@ -124,12 +125,15 @@ def make_loop(plan: Plan, curriculum: Curriculum | None = None) -> Loop:
 
 
 def _check_same(now: dict[str, Any], then: dict[str, Any]) -> None:
-    """A run is not continued on another model; with other versions it is, but it says so."""
+    """A run is not continued on another model; on another device or with other versions it is, but it says so."""
     if now["model_sha256"] != then.get("model_sha256"):
         raise CalibrationError(
             f"{now['model']} (calibration {now['calibration_id']}) is not the model this run was started with "
             f"(calibration {then.get('calibration_id')}): start a new run"
         )
+    device, before = now["computed_on"], then.get("computed_on")
+    if before not in (None, device):
+        say(f"resuming on another device ({before} -> {device}): an unbroken run would have come to other numbers")
     versions = then.get("versions") or {}
     changed = [
         f"{name} {versions.get(name)} -> {one}" for name, one in now["versions"].items() if versions.get(name) != one

@@ -11,14 +11,13 @@ from stable_baselines3.common.logger import configure
 
 from frasa_rl.checkpoint import FOLDER as CHECKPOINTS
 from frasa_rl.checkpoint import load_checkpoint, save_checkpoint
-from frasa_rl.deployment import deployment
 from frasa_rl.evaluations import Evaluations, shown
-from frasa_rl.export import publish
 from frasa_rl.held_out import HeldOut
 from frasa_rl.loop import Loop
 from frasa_rl.plan import Plan, mark_of
 from frasa_rl.policy import FOLDER, RUN_FILE, Policy
 from frasa_rl.progress import Progress
+from frasa_rl.published import Published
 from frasa_rl.snapshots import Arrays, nested, part
 from frasa_rl.stopping import Interrupt
 from frasa_sysid.calibration import InterruptedRunError, say, write_atomic
@@ -36,6 +35,7 @@ class Run:
         loop.learner.log_to(self._logger)
         self._progress = Progress(plan.out, plan.ends, self._logger.record, self._logger.dump)
         self._evaluations = Evaluations(plan.out, plan.until_success)
+        self._published = Published(plan, description)
         self._held_out: HeldOut | None = None
         self._interrupt = Interrupt()
         self._saved_at = 0
@@ -61,6 +61,7 @@ class Run:
         if resume:
             load_checkpoint(out, self._mark, self._loop.learner.load, self._restore)
             self._saved_at = self._loop.steps
+            self._go_on()
         else:  # the first one comes before run.yaml: what says it is a run can be resumed
             shutil.rmtree(out / CHECKPOINTS, ignore_errors=True)
             self._progress.start(0.0)
@@ -83,7 +84,7 @@ class Run:
         """Until the run is over: why it is."""
         while True:
             over = self._over()
-            if over != "interrupted" and self._evaluation_due(over):
+            if over != "interrupted" and (self._due or (over is not None and self._untried)):
                 self._evaluate()
                 over = self._over()
             if over is not None or self._loop.steps - self._saved_at >= self._settings.checkpoint_steps:
@@ -100,14 +101,27 @@ class Run:
             return "success"
         return self._plan.ends.reached(self._loop.steps, self._progress.elapsed_s)
 
-    def _evaluation_due(self, over: str | None) -> bool:
-        """Counted in steps, so that a resumed run has the same ones; and at the end, for the last policy."""
+    @property
+    def _due(self) -> bool:
+        """Whether an evaluation is: counted in steps, so that a resumed run has the same ones."""
         each, before, now = self._settings.evaluate_steps, self._evaluations.evaluated_steps, self._loop.steps
-        return each > 0 and (now // each > before // each or (over is not None and now > before))
+        return each > 0 and now // each > before // each
+
+    @property
+    def _untried(self) -> bool:
+        """Whether the present policy was not evaluated, as the last of a run is."""
+        return self._settings.evaluate_steps > 0 and self._loop.steps > self._evaluations.evaluated_steps
+
+    def _go_on(self) -> None:
+        """After an end, what an unbroken run would not have is dropped."""
+        over = self._plan.ends.reached(self._loop.steps, self._progress.elapsed_s)
+        if over is None and self._evaluations.drop_early(self._settings.evaluate_steps):
+            self._published.stay()
+        self._remark()
 
     def _evaluate(self) -> None:
         """Let the present policy try held-out falls; publish it when it is the best so far."""
-        begun = time.monotonic()
+        begun, due = time.monotonic(), self._due
         if self._held_out is None:
             plan, settings = self._plan, self._settings
             self._held_out = HeldOut(plan.model, plan.task, settings.evaluate_falls, settings.evaluate_physics)
@@ -116,7 +130,9 @@ class Run:
         minutes = self._progress.elapsed_s / 60.0
         if self._evaluations.add(self._loop.steps, minutes, got.prone, got.supine, got.time_s):
             held_out = {"prone": got.prone, "supine": got.supine, "time_s": got.time_s, "physics": self._physics}
-            self._publish(self._policy(policy, {"held_out": held_out}))
+            self._published.best(self._policy(policy, {"held_out": held_out}), due=due)
+        else:
+            self._published.no_better()
         for name in ("prone", "supine", "success", "time_s"):
             if np.isfinite(getattr(got, name)):
                 self._logger.record(f"held_out/{name}", getattr(got, name))
@@ -144,24 +160,21 @@ class Run:
             **self._loop.snapshot(),
             **nested("progress", self._progress.snapshot()),
             **nested("evaluations", self._evaluations.snapshot()),
+            **nested("published", self._published.snapshot()),
         }
         save_checkpoint(self._plan.out, self._loop.steps, self._mark, self._loop.learner.save(), state)
         newest = self._policy(self._loop.policy({}), {})
         newest.save(self._plan.out / LATEST)
         if self._evaluations.best is None:
-            self._publish(newest)
+            self._published.newest(newest)
         self._saved_at = self._loop.steps
         self._logger.record("run/checkpoint_s", time.monotonic() - begun)
-
-    def _publish(self, policy: Policy) -> None:
-        """The run's policy, with all that a robot must know to run it."""
-        publish(policy, deployment(policy.run, self._plan.task, self._plan.model), self._plan.out / FOLDER)
 
     def _restore(self, kept: Arrays) -> None:
         self._loop.restore(kept)
         self._progress.restore(part("progress", kept))
         self._evaluations.restore(part("evaluations", kept))
-        self._remark()
+        self._published.restore(part("published", kept))
 
     def _result(self, stopped: str) -> dict[str, Any]:
         returns = [row[2] for row in self._progress.rows if np.isfinite(row[2])]

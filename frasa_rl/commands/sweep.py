@@ -11,6 +11,7 @@ from typing import Any
 from frasa_rl.commands.leave_page import leave_page
 from frasa_rl.commands.rank import rank_words
 from frasa_rl.commands.training import add_training, check_resumed, plan_from_arguments
+from frasa_rl.model_path import NAMED, check_there
 from frasa_rl.places import usual_jobs
 from frasa_rl.settings import LAST_SEED
 from frasa_rl.simulation import all_threads
@@ -148,7 +149,11 @@ def _resumed(args: argparse.Namespace) -> Sweep:
     from frasa_rl.plan import plan_from
 
     sweep = read_sweep(args.resume).until(args.steps, args.minutes, args.until_success)
-    plan_from(sweep.run, sweep.out, str(sweep.out / SWEEP_FILE)).check_ends()
+    plan = plan_from(sweep.run, sweep.out, str(sweep.out / SWEEP_FILE))
+    plan.check_ends()
+    if not args.model:
+        check_there(plan.model)
+    sweep = replace(sweep, run={**sweep.run, NAMED: str(args.model or plan.model)})
     if args.device:
         sweep = replace(sweep, run={**sweep.run, "device": args.device})
     if args.seeds is None:

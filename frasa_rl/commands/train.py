@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from frasa_rl.commands.leave_page import leave_page
 from frasa_rl.commands.training import add_training, check_resumed, plan_from_arguments
+from frasa_rl.model_path import check_there
 from frasa_sysid.calibration import InterruptedRunError, UsageError, add_json_flag, alone, say
 
 if TYPE_CHECKING:
@@ -47,7 +48,9 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     if args.resume:
         check_resumed(args)
         plan = plan_of(args.resume).until(args.steps, args.minutes, args.until_success)
-        plan = replace(plan, device=args.device or plan.device)
+        plan = replace(plan, device=args.device or plan.device, model=args.model or plan.model)
+        if not args.model:
+            check_there(plan.model)
     else:
         plan = plan_from_arguments(args, args.out or Path("runs") / f"standup-{datetime.now():%Y%m%d-%H%M%S}")
     with alone(plan.out, folder=True):  # until the page is there, too

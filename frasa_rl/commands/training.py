@@ -19,12 +19,14 @@ if TYPE_CHECKING:
     from frasa_rl.plan import Plan
 
 _SETTINGS = ("algorithm", "seed", "envs", "env_threads", "threads", "physics", "evaluate_steps", "evaluate_falls")
-_KEPT = ("model", "task", "compat", "preset", "out", "set", *_SETTINGS)  # in a run folder: it cannot change them
+_KEPT = ("task", "compat", "preset", "out", "set", *_SETTINGS)  # in a run folder: it cannot change them
 
 
 def add_training(parser: argparse.ArgumentParser) -> None:
     """Add model, task, ends and settings."""
-    parser.add_argument("--model", type=Path, help="model file (default robot_model/calibrated.xml)")
+    parser.add_argument(
+        "--model", type=Path, help="model file (default robot_model/calibrated.xml; resumed: the run's)"
+    )
     add_task_option(parser, "the Sigmaban's")
     parser.add_argument("--compat", choices=("frasa2024",), help="train as FRASA's published environment does")
     parser.add_argument("--minutes", type=float, help="end after this many minutes of training")

@@ -18,11 +18,14 @@ from frasa_rl.checkpoint import CheckpointError
 from frasa_rl.compat2024 import compat_task
 from frasa_rl.config import Task
 from frasa_rl.curriculum import Shares
+from frasa_rl.held_out import HeldOut, Result
+from frasa_rl.loop import Loop
 from frasa_rl.plan import Plan, plan_of
 from frasa_rl.policy import Policy
 from frasa_rl.settings import Settings
 from frasa_rl.tables import EVALUATIONS, PROGRESS
 from frasa_rl.train import make_loop, train
+from frasa_sysid.calibration import InterruptedRunError
 
 TINY = Settings(
     envs=8,
@@ -84,7 +87,7 @@ def assert_same_run(one, other):
     with np.load(mine / "state.npz") as a, np.load(theirs / "state.npz") as b:
         assert set(a.files) == set(b.files)
         for name in a.files:
-            if name not in ("progress.rows", "progress.elapsed_s", "evaluations.rows"):
+            if name not in ("progress.rows", "progress.elapsed_s", "evaluations.rows", "published.trained"):
                 np.testing.assert_array_equal(a[name], b[name], err_msg=name)
 
 
@@ -137,6 +140,50 @@ def test_a_run_resumed_at_any_step_comes_to_the_same(unbroken, tmp_path, steps):
     train(plan_of(plan.out).until(832, None), resume=True)
     a, b = (Policy.load(one.out / "latest") for one in (whole, plan))
     np.testing.assert_array_equal(a.layers[0][0], b.layers[0][0])
+
+
+def test_a_run_that_goes_on_from_an_end_comes_to_the_same(unbroken, tmp_path):
+    """The evaluation made as it ended is dropped: unbroken it would not have been."""
+    plan = replace(unbroken, out=tmp_path / "run")
+    train(plan.until(608, None))
+    assert [row[0] for row in EVALUATIONS.read(plan.out)] == [400, 608]
+    train(plan_of(plan.out), resume=True)  # it is over: all stays
+    assert [row[0] for row in EVALUATIONS.read(plan.out)] == [400, 608]
+    train(plan_of(plan.out).until(STEPS, None), resume=True)
+    assert_same_run(unbroken.out, plan.out)
+
+
+def test_what_was_chosen_at_an_end_gives_way(unbroken, tmp_path, monkeypatch):
+    """It stays published until the next evaluation, also over an interruption; then an unbroken run's best is there."""
+    shares = iter([0.5, 1.0, 0.25])  # at 400, as the run ends at 608, at 800
+    monkeypatch.setattr(HeldOut, "run", lambda self, policy, which: Result(*2 * [next(shares)], time_s=2.0))
+    plan = replace(unbroken, out=tmp_path / "run")
+
+    def published():
+        return Policy.load(plan.out).run["trained"]["steps"]
+
+    train(plan.until(400, None))
+    best = Policy.load(plan.out).layers
+    assert published() == 400
+    train(plan.until(608, None), resume=True)
+    assert published() == 608
+    rounds, gathered = iter([0, 1]), Loop.round
+
+    def until_ctrl_c(loop):
+        if next(rounds, None) == 1:
+            signal.raise_signal(signal.SIGINT)
+        return gathered(loop)
+
+    with monkeypatch.context() as once:
+        once.setattr(Loop, "round", until_ctrl_c)
+        with pytest.raises(InterruptedRunError):
+            train(plan.until(800, None), resume=True)
+    assert published() == 608
+    assert [row[0] for row in EVALUATIONS.read(plan.out)] == [400]
+    train(plan.until(800, None), resume=True)
+    assert [row[0] for row in EVALUATIONS.read(plan.out)] == [400, 800]
+    assert published() == 400
+    np.testing.assert_array_equal(Policy.load(plan.out).layers[0][0], best[0][0])
 
 
 @pytest.mark.parametrize("changes", [{"algorithm": "sac"}, {"overlap": False}, {"env_threads": 2}])

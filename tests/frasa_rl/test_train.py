@@ -141,6 +141,17 @@ def test_another_version_is_told(trained, capsys):
     assert "resuming with other versions (mujoco 1.2.3" in capsys.readouterr().err
 
 
+def test_another_device_is_told(trained, capsys):
+    """run.yaml says what computed the run, whatever was asked for; where that changes, numbers will."""
+    path = trained.out / "run.yaml"
+    assert yaml.safe_load(path.read_text())["computed_on"] == "cpu"
+    path.write_text(path.read_text().replace("computed_on: cpu", "computed_on: cuda (a GPU)"))
+    train(trained.until(244, None), resume=True)
+    assert "resuming on another device (cuda (a GPU) -> cpu)" in capsys.readouterr().err
+    train(trained.until(248, None), resume=True)
+    assert "another device" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("file", ["state.npz", "model.zip"])
 @pytest.mark.parametrize("damage", ["missing", "empty", "half", "less", "flipped", "words"])
 def test_a_broken_checkpoint_is_named(trained, file, damage):
