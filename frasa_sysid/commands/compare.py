@@ -135,7 +135,7 @@ def _plain(one: Misfit) -> dict[str, Any]:
 def _show(errors: dict[str, Misfit]) -> None:
     table = Table()
     for heading in ("", "mean error, mrad", "rms, mrad", "worst run, mrad"):
-        table.add_column(heading, justify="right" if heading else "left")
+        table.add_column(heading, justify="right" if heading else "left", overflow="fold")
     for name, one in errors.items():
         worst = max(one.by_run, key=lambda run: one.by_run[run])
         table.add_row(

@@ -151,9 +151,9 @@ def _show(errors: Mapping[str, Mapping[str, ChannelErrors]], share: float) -> No
     table.add_column("", overflow="fold")
     for channel in channels:
         name, _, unit = SHOWN[channel]
-        table.add_column(f"{name}, {unit}", justify="right")
-    table.add_column("position rms, mrad", justify="right")
-    table.add_column("worst joint")
+        table.add_column(f"{name}, {unit}", justify="right", overflow="fold")
+    table.add_column("position rms, mrad", justify="right", overflow="fold")
+    table.add_column("worst joint", overflow="fold")
     for name, one in errors.items():
         cells = [f"{one[channel].mae * SHOWN[channel][1]:.3g}" for channel in channels]
         by_joint = one["position"].by_joint
@@ -170,7 +170,7 @@ def _show(errors: Mapping[str, Mapping[str, ChannelErrors]], share: float) -> No
 def _by(what: str, errors: Mapping[str, Mapping[str, float]]) -> Table:
     """Position errors [mrad] by log or joint, the worst of the last contender first."""
     table = Table(title=f"position by {what}, mrad", title_justify="left")
-    table.add_column(what)
+    table.add_column(what, overflow="fold")
     for name in errors:
         table.add_column(name, justify="right", overflow="fold")
     last = list(errors.values())[-1]

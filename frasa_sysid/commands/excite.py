@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from frasa_sysid.calibration import add_json_flag, input_hashes, say, sha256_of_file
+from frasa_sysid.commands.bench import people_console
 from frasa_sysid.commands.progress import shown_share
 from frasa_sysid.errors import UsageError
 from frasa_sysid.excitation import Excitation
@@ -173,7 +174,7 @@ def _most(planned: Plan, name: str) -> FloatArray:
 
 
 def _show(excitations: Sequence[Excitation], planned: Plan | None) -> None:
-    console = Console(stderr=True, highlight=False)
+    console = people_console()
     for one in excitations:
         _show_parts(console, one, "on its feet" if planned is None else f"held {one.hold}")
     if planned is not None:
@@ -183,7 +184,7 @@ def _show(excitations: Sequence[Excitation], planned: Plan | None) -> None:
 def _show_parts(console: Console, excitation: Excitation, how: str) -> None:
     table = Table(title=f"{how}, {excitation.seconds:g} s, part by part", title_justify="left", title_style="bold")
     for heading in ("part", "from s", "to s", "what it is for"):
-        table.add_column(heading, justify="right" if heading.endswith(" s") else "left")
+        table.add_column(heading, justify="right" if heading.endswith(" s") else "left", overflow="fold")
     for part in excitation.parts:
         table.add_row(part.name, f"{part.start:.2f}", f"{part.end:.2f}", part.purpose)
     console.print(table)
@@ -192,7 +193,7 @@ def _show_parts(console: Console, excitation: Excitation, how: str) -> None:
 def _show_plan(console: Console, planned: Plan) -> None:
     table = Table(title="Predicted 95 % intervals", title_justify="left", title_style="bold")
     for heading in ("parameter", "half width", "wanted", "verdict", "mostly from"):
-        table.add_column(heading)
+        table.add_column(heading, overflow="fold")
     for one in planned.predictions:
         colour = COLOURS[one.verdict]
         shown = "-" if one.verdict == "not excited" else _number(one, one.half_width)

@@ -12,7 +12,9 @@ def show_robot(found: RobotFit, record: RobotFitRecord) -> None:
     console = people_console()
     table = Table()
     for column in ("number", "before", "fitted", "95 % interval", "unit", "verdict"):
-        table.add_column(column, justify="left" if column in ("number", "unit", "verdict") else "right")
+        table.add_column(
+            column, justify="left" if column in ("number", "unit", "verdict") else "right", overflow="fold"
+        )
     units = {free.name: free.kind.unit for free in found.problem.free}
     advice: dict[str, list[str]] = {}
     for one in record.estimates:

@@ -16,7 +16,9 @@ def show(result: FitResult, extras: Extras) -> None:
     console = people_console()
     table = Table(title=f"{result.problem.servo.name}, friction law {result.friction}", title_justify="left")
     for heading in ("parameter", "nominal", "fitted", "95 % interval", "unit", "verdict"):
-        table.add_column(heading, justify="right" if heading in ("nominal", "fitted", "95 % interval") else "left")
+        table.add_column(
+            heading, justify="right" if heading in ("nominal", "fitted", "95 % interval") else "left", overflow="fold"
+        )
     for one in result.evidence.estimates:
         colour = "green" if one.verdict == "identified" else "yellow"
         interval = f"{one.low:.4g} .. {one.high:.4g}"
@@ -63,7 +65,7 @@ def show_choice(console: Console, choice: Choice) -> None:
     """Print how the models that were weighed compare, for people."""
     table = Table(title="held-out errors", title_justify="left")
     for heading in ("model", "numbers", "all runs, mrad", "held out, mrad", "p", "against"):
-        table.add_column(heading, justify="left" if heading in ("model", "against") else "right")
+        table.add_column(heading, justify="left" if heading in ("model", "against") else "right", overflow="fold")
     for one in (*choice.effects, *choice.laws):
         p_value = "" if one.p_value != one.p_value else f"{one.p_value:.3f}"
         name = " + ".join((one.law, *one.effects))

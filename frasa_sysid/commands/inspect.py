@@ -13,7 +13,7 @@ from rich.table import Table
 
 from frasa_sysid.bench import inputs_of
 from frasa_sysid.calibration.command_line import add_json_flag, say
-from frasa_sysid.commands.bench import SERVO_HELP
+from frasa_sysid.commands.bench import SERVO_HELP, people_console
 from frasa_sysid.commands.faults import show_faults
 from frasa_sysid.commands.log_health import all_checks, clock_report, show_checks, show_clocks, show_whole_logs
 from frasa_sysid.commands.reading import add_reading_arguments, read_within
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             say(told)
         recordings = [replace(one, rig=replace(one.rig, servo=servo.name)) for one in recordings]
     found = _by_servo(recordings, servo)
-    console = Console(stderr=True, highlight=False)
+    console = people_console()
     if args.verbose or len(recordings) <= FEW:
         for recording in recordings:
             _show_recording(console, recording)
@@ -124,7 +124,7 @@ def _show_recording(console: Console, recording: Recording) -> None:
     title = f"{recording.name}: {recording.duration:.2f} s, {recording.origin}, {recording.clock} clock\n{facts}"
     table = Table(title=escape(title), title_justify="left", title_style="bold")
     for heading in ("signal", "unit", "samples", "period ms (p50/99/max)", "range", "quantum"):
-        table.add_column(heading, justify="left" if heading in ("signal", "unit") else "right")
+        table.add_column(heading, justify="left" if heading in ("signal", "unit") else "right", overflow="fold")
     for signal in recording.signals.values():
         table.add_row(*(escape(cell) for cell in _row(summarise(signal))))
     console.print(table)
@@ -146,7 +146,7 @@ def _show_groups(console: Console, recordings: Sequence[Recording]) -> None:
     clocks = ", ".join(sorted({one.clock for one in recordings}))
     table = Table(title=f"{len(recordings)} recordings, {clocks} clock", title_justify="left", title_style="bold")
     for heading in ("servo", "load", "logs", "gains", "motions", "time s", "period ms"):
-        table.add_column(heading)
+        table.add_column(heading, overflow="fold")
     for (servo, mass, length), members in sorted(groups.items()):
         load = "?" if mass == length == "?" else f"{mass} kg, {length} m"
         table.add_row(escape(servo), escape(load), str(len(members)), *_group_cells(members))
@@ -187,7 +187,7 @@ def _show_findings(console: Console, recordings: Sequence[Recording], found: Map
         title = f"What these logs can identify together: {servo}"
         table = Table(title=escape(title), title_justify="left", title_style="bold")
         for heading in ("parameter", "verdict", "why"):
-            table.add_column(heading)
+            table.add_column(heading, overflow="fold")
         for one in several:
             table.add_row(one.parameter, f"[{COLOURS[one.verdict]}]{one.verdict}[/]", escape(one.reason))
         console.print(table)

@@ -15,6 +15,7 @@ from rich.table import Table
 from frasa_sysid.bench import inputs_of
 from frasa_sysid.calibration.command_line import add_json_flag, say
 from frasa_sysid.calibration.files import write_atomic
+from frasa_sysid.commands.bench import people_console
 from frasa_sysid.commands.reading import add_reading_arguments, read_within
 from frasa_sysid.errors import LogError, UsageError
 from frasa_sysid.lag import LONGEST, Lag, lags
@@ -71,7 +72,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     recordings = read_within(args.logs, args)
     found = _found(recordings, args)
     joints = joint_lags(found)
-    console = Console(stderr=True, highlight=False)
+    console = people_console()
     title = f"{args.of} against {args.against}"
     _show(console, title, found, joints, args.verbose)
     if args.report is not None:
@@ -131,7 +132,9 @@ def _show(console: Console, title: str, found: Sequence[Lag], joints: Sequence[J
 def _table(title: str, found: Sequence[Lag]) -> Table:
     table = Table(title=escape(title), title_justify="left", title_style="bold")
     for heading in ("log", "joint", "delay ms", "95 %", "ratio", "main Hz", "verdict", "why"):
-        table.add_column(heading, justify="right" if heading in ("delay ms", "ratio", "main Hz") else "left")
+        table.add_column(
+            heading, justify="right" if heading in ("delay ms", "ratio", "main Hz") else "left", overflow="fold"
+        )
     for one in found:
         verdict = f"[{COLOURS.get(one.verdict, 'red')}]{one.verdict}[/]"
         table.add_row(

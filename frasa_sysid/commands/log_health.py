@@ -62,7 +62,7 @@ def show_whole_logs(console: Console, recordings: Sequence[Recording]) -> None:
             continue
         table = Table(title=escape(f"{recording.source}, all of it"), title_justify="left", title_style="bold")
         for heading in ("signal", "samples", "time s", "longest step ms", "range", "not finite"):
-            table.add_column(heading, justify="left" if heading == "signal" else "right")
+            table.add_column(heading, justify="left" if heading == "signal" else "right", overflow="fold")
         for name, one in whole.items():
             extent = f"{one['low']:.3g}..{one['high']:.3g}"
             cells = (f"{one['seconds']:.1f}", f"{1e3 * one['longest_step_s']:.3g}", extent, str(one["not_finite"]))

@@ -108,7 +108,7 @@ def _show(tables: Sequence[ServoTable], named: bool) -> None:
     console = people_console()
     table = Table(title="servos, as MuJoCo has them at the stated supply and gain", title_justify="left")
     for heading in ("servo", "V", "P", "kp", "forcerange", "damping", "frictionloss", "armature", "what"):
-        table.add_column(heading, justify="left" if heading in ("servo", "what") else "right")
+        table.add_column(heading, justify="left" if heading in ("servo", "what") else "right", overflow="fold")
     for one in tables:
         numbers = [f"{value:.4g}" for value in _numbers(one).values()]
         title = one.title + (" (metres and newtons)" if one.linear else "")

@@ -37,6 +37,42 @@ def run(*words):
     return args.run(args)
 
 
+def cells_of(text, columns):
+    """What stands in the first columns of the tables in a text, by row, folded cells put together."""
+    rows = []
+    for line in text.splitlines():
+        if line.startswith("│"):
+            cells = [cell.strip() for cell in line.split("│")[1:-1]]
+            if cells[2]:  # a number, which is never folded: a row begins
+                rows.append([""] * columns)
+            rows[-1] = [old + new for old, new in zip(rows[-1], cells, strict=False)]
+    return rows
+
+
+def test_names_are_never_cut(tmp_path, capsys, monkeypatch):
+    """Rows whose names start alike are told apart also where no terminal is; what is too long is folded."""
+    joints = tuple(f"right_shoulder_of_the_big_robot_{axis}" for axis in ("pitch", "roll"))
+    log = tmp_path / "a_log_with_quite_a_long_name.mcap"
+    write_mcap(log, [recording("a", columns=joints), recording("b", columns=joints)])
+    run("lag", log)
+    text = capsys.readouterr().err
+    assert "…" not in text
+    assert max(len(line) for line in text.splitlines() if line.startswith("│")) == 120
+    told = [[f"{log.name}#0{i}", joint] for i in (0, 1) for joint in joints]
+    assert cells_of(text, 2) == told
+
+    one = recording()
+    names = [f"position@/{'right_shoulder_' * 6}{axis}" for axis in ("pitch", "roll")]
+    signals = {name: replace(one.signals["position"], name=name) for name in names}
+    monkeypatch.setattr("frasa_sysid.commands.inspect.read_within", lambda *_: [replace(one, signals=signals)])
+    run("inspect", tmp_path)
+    text = capsys.readouterr().err
+    assert "…" not in text
+    assert [cell.replace(" ", "") for (cell,) in cells_of(text.split("What these")[0], 1)] == [
+        f"{name}x2" for name in names
+    ]
+
+
 def test_lag_by_joint_and_report(log, tmp_path, capsys):
     """Each joint by log and together; the page is written and needs nothing from elsewhere."""
     result = run("lag", log, "--report", tmp_path / "lag.html")
