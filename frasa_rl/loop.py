@@ -17,8 +17,13 @@ from frasa_rl.policy import Policy
 from frasa_rl.replay import Replay
 from frasa_rl.settings import Settings
 from frasa_rl.snapshots import Arrays, nested, part
+from frasa_sysid.calibration import FrasaError
 
 _AT_ONCE = 64  # batches drawn together; more only need more memory
+
+
+class LearnerError(FrasaError):
+    """The learner has no finite numbers any more."""
 
 
 class Loop:
@@ -72,8 +77,18 @@ class Loop:
             many = min(updates, _AT_ONCE)
             self.learner.update(self.replay.draw(many, self._settings.batch))
             self._actor = self.learner.actor()
+            self._check_finite()
             self._average.follow(self._actor, many)
             updates -= many
+
+    def _check_finite(self) -> None:
+        """Raise LearnerError where the policy is no policy any more."""
+        actor = self._actor
+        if not all(np.isfinite(part).all() for layer in (*actor.hidden, actor.mean, actor.log_std) for part in layer):
+            raise LearnerError(
+                f"the learner diverged: after {self.learner.updates:,} updates its policy holds numbers that are not "
+                "finite; what was saved before is there, and a smaller learning_rate (--set) is what to try"
+            )
 
     def _keep(self, got: Round) -> None:
         self.replay.add(got.transitions)

@@ -15,6 +15,7 @@ pytest.importorskip("sb3_contrib")
 from frasa_rl.checkpoint import CheckpointError, load_checkpoint
 from frasa_rl.curriculum import Shares
 from frasa_rl.held_out import SEED, HeldOut, Result
+from frasa_rl.loop import LearnerError
 from frasa_rl.plan import Plan, describe, mark_of, plan_of
 from frasa_rl.policy import Policy
 from frasa_rl.settings import PRESETS, Settings
@@ -251,6 +252,19 @@ def test_the_best_policy_is_kept_by_success(plan, monkeypatch):
     assert best.run["trained"]["held_out"]["prone"] == 0.5
     assert newest.run["trained"]["steps"] == 100
     assert not np.array_equal(best.layers[0][0], newest.layers[0][0])
+
+
+@pytest.mark.parametrize("overlap", [True, False])
+def test_a_learner_that_diverges_ends_the_run_in_a_line(plan, overlap):
+    """Its robots are not told numbers that are none; what was saved before stays."""
+    loop = make_loop(replace(plan, settings=replace(TINY, overlap=overlap)))
+    while loop.learner.updates == 0:
+        loop.round()
+    with torch.no_grad():
+        loop.learner.model.actor.mu.bias.fill_(torch.nan)
+    with pytest.raises(LearnerError, match="the learner diverged"):
+        loop.round()
+    loop.close()
 
 
 def test_ctrl_c_saves_and_says_so(plan):
