@@ -45,6 +45,7 @@ LINEAR_UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
         "coulomb": {"N": 1.0},
     }
 )
+SMALLEST, LARGEST = 1e-12, 1e12  # of any number, in any unit
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ def quantity(where: str, kind: str, data: Any, linear: bool = False) -> Quantity
 
 
 def above_zero(where: str, data: Any) -> float:  # noqa: ANN401 - whatever TOML holds
-    """A number above 0.
+    """A number above 0, of a size that anything has.
 
     Raises:
         InputError: it is none.
@@ -106,6 +107,8 @@ def above_zero(where: str, data: Any) -> float:  # noqa: ANN401 - whatever TOML 
         raise InputError(f"{where} = {str(data)[:30]!r}, expected a number above 0")
     if not (math.isfinite(data) and data > 0):
         raise InputError(f"{where} = {data:g}, expected a number above 0")
+    if not SMALLEST <= data <= LARGEST:  # beyond it squares and quotients leave what a float can hold
+        raise InputError(f"{where} = {data:g}, expected a number from {SMALLEST:g} to {LARGEST:g}")
     return float(data)
 
 

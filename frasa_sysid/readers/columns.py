@@ -3,6 +3,7 @@
 A format says which columns there are and gives those that are asked for, as numbers; the rest of a file is not kept.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -130,7 +131,7 @@ def _blank(loaded: Loaded, names: Sequence[str]) -> BoolArray | None:
     found: BoolArray = np.logical_or.reduce(blanks)
     for name in alive:
         values = np.asarray(loaded.columns[name], dtype=np.float64)
-        read = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        read = np.isfinite(values.reshape(len(values), math.prod(values.shape[1:]))).all(axis=1)
         found &= read | loaded.blank[name] if name in loaded.blank else read
     return found
 

@@ -1,5 +1,6 @@
 """Faults of sampling, whatever the quantity: NaN, order of time, repeated stamps, gaps, mixed rates."""
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -44,7 +45,7 @@ def make_signal(
         faults.append(_blank(name, int(blank.sum()), blank.size))
         t, y = t[~blank], y[~blank]
     y, columns = _without_dead_columns(name, y, columns, faults)
-    bad = ~np.isfinite(t) | ~np.isfinite(y.reshape(t.size, -1)).all(axis=1)
+    bad = ~np.isfinite(t) | ~np.isfinite(y.reshape(t.size, math.prod(y.shape[1:]))).all(axis=1)
     if bad.any():
         faults.append(_not_finite(name, int(bad.sum()), bool(bad.all())))
         t, y = t[~bad], y[~bad]

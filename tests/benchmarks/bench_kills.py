@@ -227,7 +227,7 @@ def run_result(folder: Path) -> dict[str, str]:
     (last,) = (folder / "checkpoints").iterdir()
     with np.load(last / "state.npz") as file:
         for name in file.files:
-            if name not in ("progress.rows", "progress.elapsed_s", "evaluations.rows"):
+            if name not in ("progress.rows", "progress.elapsed_s", "evaluations.rows", "published.trained"):
                 found[f"checkpoint {name}"] = digest(file[name].tobytes())
     with zipfile.ZipFile(last / "model.zip") as file:
         for name in ("policy.pth", "actor.optimizer.pth", "critic.optimizer.pth"):

@@ -56,6 +56,14 @@ def test_not_a_dynaban_log(tmp_path, content, complaint):
         read_dynaban(tmp_path / "log")
 
 
+def test_a_test_of_one_row(tmp_path):
+    """Its only velocity is the command, which is dropped: there is none left."""
+    (tmp_path / "log").write_text("\n".join(TWO_TESTS.splitlines()[:4]) + "\n")
+    (only,) = read_dynaban(tmp_path / "log")
+    assert "velocity" not in only.signals
+    np.testing.assert_array_equal(only.signal("voltage_command").y, [12])
+
+
 def test_the_published_log(shared_dir):
     """All 113 tests of 999 samples are there, the last one too; 47 of them wrapped."""
     path = shared_dir / "data" / "mx64_dynaban" / "completeTest.gz"

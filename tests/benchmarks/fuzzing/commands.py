@@ -52,9 +52,7 @@ COMMANDS: dict[str, Command] = {
     "inspect": Command("mcap ros2", lambda path, _: _sysid("inspect", str(path))),
     "fit LOG": Command(
         "mcap ros2",
-        lambda path, out: _sysid(
-            "fit", str(path), "--evaluations", "20", "--no-report", "--out", str(out / "fit.json")
-        ),
+        lambda path, out: _sysid("fit", str(path), "--seed", "1", "--no-report", "--out", str(out / "fit.json")),
     ),
     "import bam": Command("bam", lambda path, out: _sysid("import", str(path), "--format", "bam", "--out", str(out))),
     "import jandi": Command(
