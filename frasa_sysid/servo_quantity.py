@@ -85,7 +85,7 @@ def quantity(where: str, kind: str, data: Any, linear: bool = False) -> Quantity
     if "unit" not in data:
         raise InputError(f"{where} has no unit: expected one of {', '.join(units)}")
     unit = data["unit"]
-    if unit not in units:
+    if not isinstance(unit, str) or unit not in units:
         raise InputError(f"{where}: unit = {str(unit)[:20]!r}, expected one of {', '.join(units)}")
     source = data.get("source", "")
     if not isinstance(source, str):

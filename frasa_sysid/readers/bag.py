@@ -6,7 +6,7 @@ stand here. ROS 2 messages are decoded as those of MCAP files are.
 """
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, redirect_stderr
+from contextlib import contextmanager, redirect_stderr, suppress
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -119,7 +119,8 @@ def _opened(path: Path, kind: str) -> Iterator[Any]:
     try:
         yield reader
     finally:
-        reader.close()
+        with suppress(Exception):  # what is in the file, as above; all that is to be had has been read
+            reader.close()
 
 
 def _collect(reader: Any, ros1: bool, mapping: SignalMap | None, collected: Collected) -> list[Fault]:  # noqa: ANN401

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from mcap.reader import make_reader
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
@@ -345,3 +346,11 @@ def test_topics_of_metadata_that_are_no_text(metadata):
         assert "goal" in found.signals
         assert "velocity@/joint_states" not in found.signals
         assert any("no text" in fault.message for fault in found.faults)
+
+
+def test_metadata_with_a_word_for_its_files(metadata):
+    """The package takes it for a list of files only as it closes, when all has been read."""
+    said = yaml.safe_load(metadata.read_text())
+    said["rosbag2_bagfile_information"]["files"] = "none"
+    metadata.write_text(yaml.safe_dump(said))
+    assert read_bag(metadata)[0].signals

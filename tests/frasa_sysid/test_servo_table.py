@@ -94,6 +94,7 @@ def test_bounds_hold_whatever_the_table_allows():
         ('{ value = 12.0, unit = "V" }', "12.0", "voltage = 12 has no unit: write { value = ..."),
         ('{ value = 12.0, unit = "V" }', "{ value = 12.0 }", "voltage has no unit: expected one of V, mV"),
         ('value = 12.0, unit = "V"', 'value = 12.0, unit = "kV"', "unit = 'kV', expected one of V, mV"),
+        ('value = 12.0, unit = "V"', 'value = 12.0, unit = {}', "unit = '{}', expected one of V, mV"),
         ('value = 12.0, unit = "V"', 'value = -12.0, unit = "V"', "value = -12, expected a number above 0"),
         ('value = 12.0, unit = "V"', 'value = nan, unit = "V"', "value = nan, expected a number above 0"),
         ('value = 12.0, unit = "V"', 'value = 1e308, unit = "V"', r"value = 1e\+308, expected a number from"),
