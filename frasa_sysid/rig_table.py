@@ -43,8 +43,12 @@ def read_rig_table(path: Path) -> list[RigRow]:
         text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise LogError(f"{path} is not a text table: {error}") from error
-    lines = list(csv.DictReader(io.StringIO(text), skipinitialspace=True))
-    header = [name.strip() for name in (lines[0] if lines else {}) if name]
+    try:
+        rows = [row for row in csv.reader(io.StringIO(text, newline=None), skipinitialspace=True) if row]
+    except csv.Error as error:
+        raise LogError(f"{path} is not a text table: {error}") from error
+    header = [name.strip() for name in (rows[0] if len(rows) > 1 else [])]
+    lines = [dict(zip(header, row, strict=False)) for row in rows[1:]]
     missing = [name for name in COLUMNS if name not in header]
     if missing:
         raise LogError(f"{path}: no column {', '.join(missing)}; it has {', '.join(header) or 'no rows'}")
@@ -54,7 +58,7 @@ def read_rig_table(path: Path) -> list[RigRow]:
 def _row(path: Path, number: int, line: dict[str, str]) -> RigRow:
     try:
         mass, length, inertia, bias = (float(line[name]) for name in COLUMNS)
-    except (TypeError, ValueError):
+    except (KeyError, ValueError):  # a short row, or no number
         raise LogError(f"{path}: line {number} is not four numbers") from None
     if not all(math.isfinite(value) for value in (mass, length, inertia, bias)) or inertia < 0 or bias > 0:
         raise LogError(f"{path}: line {number}: expected total_inertia >= 0 and total_g_bias <= 0, both finite")

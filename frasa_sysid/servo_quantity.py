@@ -105,7 +105,7 @@ def above_zero(where: str, data: Any) -> float:  # noqa: ANN401 - whatever TOML 
         raise InputError(f"{where} is missing: expected a number above 0")
     if isinstance(data, bool) or not isinstance(data, int | float):
         raise InputError(f"{where} = {str(data)[:30]!r}, expected a number above 0")
-    if not (math.isfinite(data) and data > 0):
+    if not data > 0 or data == math.inf:
         raise InputError(f"{where} = {data:g}, expected a number above 0")
     if not SMALLEST <= data <= LARGEST:  # beyond it squares and quotients leave what a float can hold
         raise InputError(f"{where} = {data:g}, expected a number from {SMALLEST:g} to {LARGEST:g}")

@@ -103,7 +103,10 @@ def _array(content: bytes) -> Array:
     if header is None:
         raise ValueError("neither numbers nor texts; nothing is unpickled")
     descr, fortran, shape_text = (one.decode() for one in header.groups())
-    dtype = np.dtype(descr)
+    try:
+        dtype = np.dtype(descr)
+    except TypeError:
+        raise ValueError(f"{descr[:20]!r} is no type of numbers; nothing is unpickled") from None
     if dtype.kind not in _KINDS:
         raise ValueError(f"{dtype}, expected numbers; nothing is unpickled")
     shape = tuple(int(one) for one in shape_text.replace(" ", "").split(",") if one)

@@ -104,7 +104,7 @@ def _files(paths: Sequence[Path]) -> list[Path]:
     for path in paths:
         inside = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
         if not inside:
-            raise UsageError(f"no .mcap file in the folder {path}")
+            raise LogError(f"{path} is a folder without any .mcap file; name logs, or import foreign ones first")
         found += [one for one in inside if one not in found]
     return found
 

@@ -1,7 +1,6 @@
 """`metadata.json` of a Jandi run: which servo, on which rig, in which mode, with which registers."""
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from frasa_sysid.recording import Fault, RigFacts
 MODELS = {30: "mx28", 311: "mx64", 321: "mx106"}  # Dynamixel model numbers, protocol 2
 POSITION_MODES = {3: "position", 4: "extended position", 5: "current-based position"}
 TICKS = 4096
+_LARGEST = 2**53  # whole numbers that JSON means exactly
 KEPT = ("campaign_id", "condition", "repeat", "started_at", "register_readback", "bench")
 
 
@@ -108,6 +108,7 @@ def _object(path: Path, parent: Any, key: str) -> Mapping[str, Any]:  # noqa: AN
 
 def _whole(path: Path, parent: Mapping[str, Any], key: str) -> int:
     value = parent.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value != int(value):
+    number = value if isinstance(value, int | float) and not isinstance(value, bool) else 0.5
+    if not abs(number) < _LARGEST or number != int(number):
         raise LogError(f"{path}: '{key}' = {str(value)[:40]!r}, expected a whole number")
-    return int(value)
+    return int(number)

@@ -63,9 +63,9 @@ class KeptWindows:
 
     def of(self, log: Stamps) -> npt.NDArray[np.int64]:
         """The window of each of n messages by its log time [ns], shape (n,)."""
-        if self._begin < 0:
-            self._begin = int(log[0])
         times = np.minimum(log, np.uint64(2**62)).astype(np.int64)
+        if self._begin < 0:
+            self._begin = int(times[0])
         low, high = int(times.min()), int(times.max())
         self.first, self.last = low if self.first < 0 else min(self.first, low), max(self.last, high)
         since = times - self._begin

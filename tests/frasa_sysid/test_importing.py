@@ -48,7 +48,9 @@ def bam(path, scale=1.0, **header):
 @pytest.fixture
 def table(tmp_path):
     path = tmp_path / "rigs.csv"
-    path.write_text("\ufeffmass,length, total_inertia,total_g_bias\n0.535,0.100,0.0067,-0.54\n0.741,0.1,0.009,-0.74\n")
+    path.write_text(
+        "\ufeffmass,length, total_inertia,total_g_bias \r\n0.535,0.100,0.0067,-0.54\n0.741,0.1,0.009,-0.74\n"
+    )
     return path
 
 
@@ -150,6 +152,7 @@ def test_rig_table_must_know_the_rig(tmp_path, table, capsys):
         ("mass,length,total_inertia,total_g_bias\n1,2,x,4\n", "line 2 is not four numbers"),
         ("mass,length,total_inertia,total_g_bias\n1,2,3,4\n", "total_g_bias <= 0"),
         ("mass,length,total_inertia,total_g_bias\n1,2\n", "line 2 is not four numbers"),
+        ('mass,length,total_inertia,total_g_bias\n1,2,3,"' + "4" * 200_000, "is not a text table"),
     ],
 )
 def test_bad_rig_table(tmp_path, content, complaint):

@@ -8,7 +8,7 @@ from frasa_sysid.errors import LogError, UsageError
 from frasa_sysid.excerpt import liveliest, part, words
 from frasa_sysid.message_definitions import IMU, JOINT_STATE
 from frasa_sysid.readers import read_mcap
-from frasa_sysid.readers.kept_windows import NUMBERS, Limit
+from frasa_sysid.readers.kept_windows import NUMBERS, KeptWindows, Limit
 from frasa_sysid.recording import Recording, RigFacts, Signal
 from frasa_sysid.robot_residuals import residual_count, stride_of
 
@@ -147,3 +147,9 @@ def test_a_kilohertz_is_compared_at_200_hz():
     fast, slow = (robot_recording("a.mcap", 20.0, rate, (0.0, 20.0)) for rate in (1000.0, 100.0))
     assert (stride_of(fast.signal("position").t), stride_of(slow.signal("position").t)) == (5, 1)
     assert residual_count(fast) == 2 * residual_count(slow) == 2 * 8000
+
+
+def test_stamps_beyond_any_clock():
+    """A log time that no signed number holds is as late as can be, not an error."""
+    windows = KeptWindows(Limit())
+    assert windows.of(np.array([2**64 - 1, 2**63], dtype=np.uint64)).tolist() == [0, 0]

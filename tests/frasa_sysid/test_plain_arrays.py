@@ -63,6 +63,7 @@ def test_what_numpy_writes_is_read(tmp_path, save):
         (packed(npy("(400000000,)")), "8 bytes for float64"),
         (packed(npy("(-1,)")), "nothing is unpickled"),
         (packed(npy("(1,)", descr="|O")), "nothing is unpickled"),
+        (packed(npy("(1,)", descr="<v8")), "'<v8' is no type of numbers"),
         (packed(objects()), "nothing is unpickled"),
         (packed(pickle.dumps(Executes())), "nothing is unpickled"),
         (packed(npy("__import__('os').mkdir('executed')")), "nothing is unpickled"),

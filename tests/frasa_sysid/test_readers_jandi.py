@@ -146,6 +146,7 @@ def changed(row, place, value):
         ({"names": ["other", *NAMES[1:]]}, "no column tx_end_ns"),
         ({"goals": [[0.01, 2055, 10**12]]}, "goal_rad and its ticks"),
         ({"facts": metadata(register_readback={"operating_mode": 1, "position_p_gain": 1})}, "operating mode 1"),
+        ({"facts": metadata(register_readback={"operating_mode": 10**400})}, "'operating_mode' = '1000"),
         ({"facts": metadata(register_readback={"operating_mode": 5})}, "'position_p_gain' = 'None'"),
         ({"facts": metadata(register_readback={"operating_mode": 5, "position_p_gain": -1})}, "firmware_gain = -1"),
         ({"facts": metadata(bench=[])}, "no object 'bench'"),

@@ -98,6 +98,7 @@ def test_bounds_hold_whatever_the_table_allows():
         ('value = 12.0, unit = "V"', 'value = -12.0, unit = "V"', "value = -12, expected a number above 0"),
         ('value = 12.0, unit = "V"', 'value = nan, unit = "V"', "value = nan, expected a number above 0"),
         ('value = 12.0, unit = "V"', 'value = 1e308, unit = "V"', r"value = 1e\+308, expected a number from"),
+        ("position_gain = 800", "position_gain = inf", "position_gain = inf, expected a number above 0"),
         ("position_gain = 800", "position_gain = 1e-300", "position_gain = 1e-300, expected a number from 1e-12"),
         ('value = 61, unit = "rpm"', 'value = "61", unit = "rpm"', "value = '61', expected a number"),
         ("low = 1.0, high = 2.0", "low = 1.0", "has 'low' alone: expected both low and high"),
