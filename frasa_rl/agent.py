@@ -53,13 +53,13 @@ def _train(said: dict[str, Any], out: Path, place: Place) -> None:
         CalibrationError: the model here is not the one of the order.
         BusyError: another process is training in that folder.
     """
-    from frasa_rl.plan import model_hash, plan_from
+    from frasa_rl.plan import plan_from
     from frasa_rl.policy import RUN_FILE
     from frasa_rl.train import train
-    from frasa_sysid.calibration import load_model
+    from frasa_sysid.calibration import load_model, model_sha256
 
     plan = plan_from(said, out, "the sweep")
-    if model_hash(load_model(plan.model)) != said["model_sha256"]:
+    if model_sha256(load_model(plan.model)) != said["model_sha256"]:
         raise CalibrationError(f"{plan.model} is not the model this sweep was started with: start a new one")
     if not place.cores and plan.settings.env_threads is None:  # else it would take the whole machine
         plan = replace(plan, settings=replace(plan.settings, env_threads=place.count))

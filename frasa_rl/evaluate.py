@@ -182,7 +182,7 @@ def check_model(run: dict[str, Any], found: str, path: Path) -> None:
             f"{path} is not the model the policy was trained on, or was changed since: give that one with --model, or "
             "--allow-other-model"
         )
-    say(f"{path}: compared by calibration id only, as the policy was trained with MuJoCo {before}")
+    say(f"{path}: not compared with the policy's beyond its calibration id, as that was made with MuJoCo {before}")
 
 
 def _own_model(policy: Policy, folder: Path) -> Path:

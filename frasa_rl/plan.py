@@ -7,8 +7,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import mujoco
-import numpy as np
 import yaml
 
 from frasa_rl import __version__
@@ -22,7 +20,7 @@ from frasa_rl.settings import Settings
 from frasa_rl.stopping import Ends
 from frasa_rl.task_file import task_from
 from frasa_rl.task_text import task_data
-from frasa_sysid.calibration import InputError, UsageError, calibration_id, load_model, plain, sha256_of
+from frasa_sysid.calibration import InputError, UsageError, calibration_id, load_model, model_sha256, plain, sha256_of
 
 SCHEMA = "frasa.run/2"
 _PACKAGES = ("mujoco", "numpy", "numba", "gymnasium", "stable-baselines3", "sb3-contrib", "torch")
@@ -97,7 +95,7 @@ def describe(plan: Plan, curriculum: str = "Curriculum") -> dict[str, Any]:
             "schema": SCHEMA,
             NAMED: plan.model,
             FROM_RUN: from_run(plan.model, plan.out),
-            "model_sha256": model_hash(model),
+            "model_sha256": model_sha256(model),
             "calibration_id": calibration_id(model),
             "steps": plan.steps,
             "minutes": plan.minutes,
@@ -167,10 +165,3 @@ def plan_from(said: Mapping[str, Any], out: Path, where: str) -> Plan:
         raise InputError(f"{where}: {error}") from error
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(f"{where}: missing or wrong field: {error!r}") from error
-
-
-def model_hash(model: mujoco.MjModel) -> str:
-    """SHA-256 of the compiled model, so that every included file counts."""
-    content = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
-    mujoco.mj_saveModel(model, None, content)
-    return sha256_of(content.tobytes())

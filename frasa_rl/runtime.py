@@ -237,10 +237,13 @@ class Runtime:
             self._come_together()
         return self._commands
 
-    def _end_period(self) -> None:
-        """What was commanded is reached; until there is a new action nothing moves."""
+    def _check_started(self) -> None:
         if not self._started:
             raise RuntimeError("start(commands) comes first: it says where the robot is")
+
+    def _end_period(self) -> None:
+        """What was commanded is reached; until there is a new action nothing moves."""
+        self._check_started()
         self._before[:] = self._goal
         if not self._even:
             self._apart_before[:] = self._apart
@@ -260,7 +263,12 @@ class Runtime:
         self._commands[:] = reached
 
     def between(self, share: float) -> Floats:
-        """Joint angles when a share (0 to 1) of the period has passed [rad], shape (n, 2)."""
+        """Joint angles when a share (0 to 1) of the period has passed [rad], shape (n, 2).
+
+        Raises:
+            RuntimeError: `start` was not called.
+        """
+        self._check_started()
         common = (self._before + share * (self._goal - self._before))[:, None] * self._mirror
         return np.asarray(common + (self._apart_before + share * (self._apart - self._apart_before)))
 

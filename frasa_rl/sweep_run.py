@@ -20,9 +20,8 @@ import joblib
 import frasa_rl
 from frasa_rl import __version__
 from frasa_rl.places import HERE, Place, Share, shares, taken_place
-from frasa_rl.plan import model_hash
 from frasa_rl.sweep_files import LOG_FILE, STOP_FILE, SWEEP_FILE
-from frasa_sysid.calibration import FrasaError, InterruptedRunError, UsageError, dask_client, load_model
+from frasa_sysid.calibration import FrasaError, InterruptedRunError, UsageError, dask_client, load_model, model_sha256
 
 _POLL_S = 0.25
 _TAIL = 4096  # bytes of a log that its last line is looked for in
@@ -120,7 +119,7 @@ def objection_of(sweep: Path, model: str, sha256: str, version: str) -> str:
     if not sweep.is_file():
         return f"it sees no {sweep}: model and --out have to be in a folder that all workers share"
     try:
-        own = model_hash(load_model(Path(model)))
+        own = model_sha256(load_model(Path(model)))
     except FrasaError as error:
         return str(error)
     return "" if own == sha256 else f"its {model} is another model"

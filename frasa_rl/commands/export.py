@@ -41,7 +41,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         args.policy, args.model, task, allow_other_model=args.allow_other_model, trust=args.trust
     )
     deploy = deployment({"origin": f"run {Path(args.policy).resolve().name}", **policy.run}, task, model)
-    if not args.allow_other_model:
+    if not args.allow_other_model and deploy["model"]["calibration_id"]:  # a nominal one was compared above
         check_model(policy.run, deploy["model"]["sha256"], model)
     out: Path = args.out or (Path(args.policy).with_suffix("") if foreign else Path(args.policy) / "export")
     with alone(out, folder=True):

@@ -79,17 +79,17 @@ def _tell(plan: "Plan", result: dict[str, Any]) -> None:
         f"\n{result['steps']:,} steps, {result['updates']:,} updates, {result['minutes']:.1f} min{stands}; "
         f"policy in {result['policy']}; try: frasa-rl evaluate {plan.out}"
     )
-    if best is not None and (advice := advice_after(plan.settings.seed, best, result["steps"])):
+    if best is not None and (advice := advice_after(plan, best, result["steps"])):
         say(advice)
 
 
-def advice_after(seed: int, best: dict[str, Any], steps: int) -> str:
+def advice_after(plan: "Plan", best: dict[str, Any], steps: int) -> str:
     """What to do about a side on which nothing stands after a training in which others stand up; or nothing."""
     missing = [side for side in ("prone", "supine") if best[f"success_{side}"] < _LEARNED]
     if not missing or steps < _LONG_ENOUGH:
         return ""
     return (
         f"not learned: to stand up {' and '.join(missing)}. That is at times a matter of chance: another seed "
-        f"(--seed {seed + 1}), or several at once (frasa-rl sweep --seeds 4); where none learns it, look at "
-        "frasa-rl play RUN --start SIDE and at the pose, the limits and the rates of the task"
+        f"(--seed {plan.settings.seed + 1}), or several at once (frasa-rl sweep --seeds 4); where none learns it, look "
+        f"at frasa-rl play {plan.out} --start {missing[0]} and at the pose, the limits and the rates of the task"
     )

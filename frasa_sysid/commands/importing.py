@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     """
     if args.unit == "deg" and args.format in FIXED_UNITS:
         raise UsageError(f"--unit deg: {FIXED_UNITS[args.format]}, not degrees")
-    declared_facts(args)  # before anything is read
+    facts = declared_facts(args)  # before anything is read
     mapping = _map(args)
     table = read_rig_table(args.rig_table) if args.rig_table else None
     sources, failed = _find_all(args.sources, args.format)
@@ -92,9 +92,9 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     efforts = 0
     for source, out in zip(sources, outputs, strict=True):
         try:
-            recordings = _import(source, args, table, mapping)
+            recordings = _import(source, args, facts, table, mapping)
             check_replaced(out, recordings)
-            made = {"command": "import", "inputs": {one.source: one.sha256 for one in recordings}, **_said(args)}
+            made = {"command": "import", "inputs": {one.source: one.sha256 for one in recordings}, **_said(args, facts)}
             write_mcap(out, recordings, {**_originals(source, args.format), **_map_file(mapping)}, made=made)
         except (LogError, PermissionError) as error:
             say(f"not imported: {error}")
@@ -128,9 +128,9 @@ def _map(args: argparse.Namespace) -> SignalMap | None:
     return mapping
 
 
-def _said(args: argparse.Namespace) -> dict[str, Any]:
+def _said(args: argparse.Namespace, facts: Mapping[str, Any]) -> dict[str, Any]:
     """What the command line declared about the sources, for the record of how a file was made."""
-    said = {**declared_facts(args), "servo": args.servo, "unit": args.unit, "effort_unit": args.effort_unit}
+    said = {**facts, "servo": args.servo, "unit": args.unit, "effort_unit": args.effort_unit}
     given = {name: value for name, value in said.items() if value is not None}
     return {"declared": given} if given else {}
 
@@ -178,14 +178,18 @@ def _outputs(sources: Sequence[Path], folder: Path, form: str) -> list[Path]:
 
 
 def _import(
-    source: Path, args: argparse.Namespace, table: list[RigRow] | None, mapping: SignalMap | None
+    source: Path,
+    args: argparse.Namespace,
+    facts: Mapping[str, Any],
+    table: list[RigRow] | None,
+    mapping: SignalMap | None,
 ) -> list[Recording]:
     # What a user's own map declares is not doubted; a built-in one knows the robot's kind, not the robot.
     declared = mapping is not None and not mapping.builtin
     recordings = READERS[args.format](source, args.unit or ("rad" if declared else "auto"), mapping)
     if args.effort_unit:
         recordings = [declare_effort(recording, args.effort_unit) for recording in recordings]
-    facts, of_map = declared_facts(args), {} if mapping is None else dict(mapping.rig)
+    of_map = {} if mapping is None else dict(mapping.rig)
     if args.servo:
         of_map.pop("servo", None)  # the option goes before both, the map and the log
     name = "" if mapping is None else f"map {mapping.name}"

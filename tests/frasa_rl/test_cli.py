@@ -9,8 +9,10 @@ import pytest
 from frasa_rl.cli import main
 from frasa_rl.commands.train import advice_after
 from frasa_rl.evaluate import Evaluation
+from frasa_rl.plan import Plan
 from frasa_rl.protocol_standup import StandUpTrial
 from frasa_rl.render import Camera, RenderError
+from frasa_rl.settings import Settings
 from frasa_rl.standup_env import StandUp
 
 pytest.importorskip("sb3_contrib")
@@ -198,5 +200,7 @@ def test_errors_are_one_line_and_a_status(words, code, message, nominal, tmp_pat
 )
 def test_a_side_that_was_not_learned_is_told(prone, supine, steps, said):
     """With what to do; not after a training so short that nothing was to be expected."""
-    advice = advice_after(3, {"success_prone": prone, "success_supine": supine}, steps)
-    assert (said is None and advice == "") or (said is not None and said in advice and "--seed 4" in advice)
+    plan = Plan(Path("model.xml"), Path("runs/one"), Settings(seed=3))
+    advice = advice_after(plan, {"success_prone": prone, "success_supine": supine}, steps)
+    told = said is not None and said in advice and "--seed 4" in advice and "frasa-rl play runs/one --start" in advice
+    assert told or (said is None and advice == "")

@@ -158,8 +158,11 @@ def test_sides_that_are_apart_come_together_at_the_rate_limit(exported):
 
 def test_a_step_before_the_start_is_refused(exported):
     """Nobody told it where the robot is: its first goals would be somewhere else."""
+    runtime = Runtime.load(exported)
     with pytest.raises(RuntimeError, match="start"):
-        Runtime.load(exported).step(np.zeros((5, 2)), np.zeros((5, 2)), 0.0, 0.0)
+        runtime.step(np.zeros((5, 2)), np.zeros((5, 2)), 0.0, 0.0)
+    with pytest.raises(RuntimeError, match="start"):
+        runtime.between(1.0)
 
 
 @pytest.mark.parametrize("rate", [19.0, 101.0, float("nan"), float("inf"), 0.0, -20.0])

@@ -172,11 +172,10 @@ def test_a_cluster_trains_them_and_a_failing_one_is_alone(model, tmp_path, capsy
 
 def test_workers_with_other_files_are_refused(model, tmp_path):
     """Without the folder, with another frasa, without the model, or with another one: each is said."""
-    from frasa_rl.plan import model_hash
-    from frasa_sysid.calibration import load_model
+    from frasa_sysid.calibration import load_model, model_sha256
 
     version = objection_of.__globals__["__version__"]
-    own = model_hash(load_model(Path(model)))
+    own = model_sha256(load_model(Path(model)))
     here = tmp_path / "sweep.json"
     assert "all workers share" in objection_of(here, model, own, version)
     here.touch()
